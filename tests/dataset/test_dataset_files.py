@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
+from lumisplat.io import change_config
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.ops.views import world_rays
 from support.scenes.dataset_scenes import block_scene, small_config
@@ -276,3 +277,10 @@ def test_mistakes_in_data_set_settings_are_named_in_one_line(tmp_path, text: str
         ls.io.load_dataset_config(file)
     assert message in str(error.value) and "\n" not in str(error.value)
     assert str(error.value).startswith(str(file))
+
+
+@pytest.mark.parametrize(("former", "present"), [("lights.sky", "lights.ambient"), ("lights.lamps", "lights.points")])
+def test_former_names_of_settings_are_answered_with_the_present_ones(former: str, present: str) -> None:
+    """The error names the setting that has replaced the former one."""
+    with pytest.raises(ls.ConfigError, match=f"it is called '{present}' now"):
+        change_config(ls.config.DatasetConfig(), former, "1")

@@ -1,9 +1,10 @@
 """Stores the results of float64 oracles ("twins"), which take longer to compute than the kernels they check.
 
 The key of a stored result is a hash of the oracle's arguments and of its code, including imported oracles; docstrings,
-comments, formatting and imports do not count. A result can only be stale in what an oracle takes from the package, such
-as defaults of settings. Therefore a tenth of the results is recomputed and compared, a different tenth each day, and
-`make test-deep` recomputes all. A missing result is computed; `tools/make_twins.py` stores all results.
+comments, formatting and imports from `lumisplat` do not count. A result can only be stale in what an oracle takes from
+the package, such as defaults of settings. Therefore a tenth of the results is recomputed and compared, a different
+tenth each day, and `make test-deep` recomputes all. A missing result is computed; `tools/make_twins.py` stores all
+results.
 """
 
 from __future__ import annotations
@@ -127,9 +128,9 @@ def _node_text(node: Any) -> str:
 
 
 def _is_text_or_import(node: Any) -> bool:
-    """Returns True for imports, docstrings and other statements that are only a string."""
+    """Returns True for docstrings, other statements that are only a string, and imports from the package."""
     is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-    return is_text or isinstance(node, ast.Import | ast.ImportFrom)
+    return is_text or (isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "lumisplat")
 
 
 @cache

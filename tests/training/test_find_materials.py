@@ -15,6 +15,7 @@ from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import even_directions
 from lumisplat.relighting.irradiance import Irradiance
+from lumisplat.training.find_materials import MaterialFiles
 from lumisplat.training.lit_gaussians import ray_starts, traced_incident
 from lumisplat.training.material_fit import fit_environment, neighbour_pairs, white_radiance
 from support.oracles.trace_oracle import trace_rays
@@ -201,7 +202,9 @@ def test_find_materials_reports_images_of_changing_exposure(tmp_path: Path, capl
         pixels[..., :3] = encode_srgb(np.clip(linear, 0.0, 1.0))
         Image.fromarray((255.0 * pixels + 0.5).astype(np.uint8)).save(path)
     ls.inverse.find_materials(capture, folder, quick, device="cpu")
-    match = re.search(r"varies by ([\d.]+) stops \(standard deviation\)", caplog.text)
+    match = re.search(
+        r"varies by ([\d.]+) stops \(standard deviation\) relative to the capture: varying exposure", caplog.text
+    )
     assert match is not None
     assert float(match[1]) == pytest.approx(np.std([-1, -1, 0, 0, 0, 1, 1, 1]), abs=0.03)  # the first image is held out
 
@@ -219,3 +222,12 @@ def test_find_materials_refuses_impossible_requests_in_one_line(tmp_path: Path) 
     away = ls.transform(capture, translation=(0.0, 1000.0, 0.0))
     with pytest.raises(ls.SceneError, match="no image shows the capture"):
         ls.inverse.find_materials(away, folder, QUICK, device="cpu")
+
+
+def test_materials_state_keeps_its_fingerprint_between_versions(tmp_path: Path) -> None:
+    """The hash is that of version 0.1.0, whose settings had another name for ``environment_steps``."""
+    line = np.arange(3.0)
+    means, rotations = np.stack([line] * 3, axis=1), np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
+    capture = ls.Gaussians(means, rotations, np.full((3, 3), 0.1), np.full(3, 0.5), np.zeros((3, 1, 3)))
+    files = MaterialFiles.of(tmp_path, capture, "images", ls.config.MaterialsConfig())
+    assert files.fingerprint == "6ea1ea743b12e98b18e0610d1ba3aa0a72adbf8e5fdc4dbe513a05522d8301f4"

@@ -159,7 +159,7 @@ def _arguments(args: Sequence[str]) -> tuple[list[str], str]:
     command = commands.get(name)
     if count == 2 and not name:
         raise ArgumentsError(f"{program} needs one of {', '.join(commands)} (see {program} --help)")
-    if command is None and name in _RENAMED_COMMANDS:
+    if command is None and count == 1 and name in _RENAMED_COMMANDS:
         new = _RENAMED_COMMANDS[name]
         raise ArgumentsError(f"{name} is now {new}: lumisplat {shlex.join([new, *args[1:]])}")
     if command is None and name and not name.startswith("-"):

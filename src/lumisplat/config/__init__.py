@@ -43,10 +43,10 @@ from lumisplat.config.render import (
     Shadows,
     ToneMap,
 )
-from lumisplat.config.setting import document_fields
+from lumisplat.config.setting import document_fields as _document_fields
 from lumisplat.config.training import Densification, LearningRates, MaterialsConfig, TrainConfig
 
-document_fields(
+_document_fields(
     AvatarLightingConfig,
     DatasetConfig,
     DatasetLights,

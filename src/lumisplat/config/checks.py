@@ -254,15 +254,15 @@ def listed_names(value: object) -> tuple[str, ...] | None:
     return tuple(texts) if len(texts) == len(names) else None
 
 
-_RENAMED = {"lamps": "points", "lamp_lux": "point_lux", "sky": "ambient", "sky_steps": "environment_steps"}
+RENAMED_SETTINGS = {"lamps": "points", "lamp_lux": "point_lux", "sky": "ambient", "sky_steps": "environment_steps"}
 """Former names of settings, with the present ones."""
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
     """Returns advice for an unknown name: its present name if renamed, else the most similar name, else all names."""
     names = list(names)
-    if _RENAMED.get(name) in names:
-        return f"it is called {_RENAMED[name]!r} now"
+    if RENAMED_SETTINGS.get(name) in names:
+        return f"it is called {RENAMED_SETTINGS[name]!r} now"
     near = difflib.get_close_matches(name, names, n=1)
     near = near or [one for one in names if len(name) > 2 and one.startswith(name)]
     return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(names)}"

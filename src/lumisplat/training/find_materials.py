@@ -363,6 +363,9 @@ def _stops_brighter(target: TargetPixels, frame: Frame) -> list[float]:
 
 VERSION = 1
 _OF_START, _OF_FIT = "start.", "fit."
+_SETTING_KEYS = {"environment_steps": "sky_steps"}
+"""Names of settings as they are hashed, for those with other names in `MaterialsConfig`."""
+
 _MATERIAL_KEYS = {"albedo": "albedo", "roughness": "roughness", "normals": "normals", "environment": "sky"}
 """Name of each `Materials` field's array in the state file."""
 
@@ -401,7 +404,8 @@ class MaterialFiles:
     @classmethod
     def of(cls, folder: Path, gaussians: Gaussians, images: str, config: MaterialsConfig) -> MaterialFiles:
         """Returns the files of the search with this capture, this fingerprint of the images and these settings."""
-        stored = hashlib.sha256(json.dumps([VERSION, images, asdict(config), gaussians.antialiased]).encode())
+        settings = {_SETTING_KEYS.get(name, name): value for name, value in asdict(config).items()}
+        stored = hashlib.sha256(json.dumps([VERSION, images, settings, gaussians.antialiased]).encode())
         for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
             stored.update(getattr(gaussians, name).tobytes())
         return cls(folder, stored.hexdigest(), gaussians.count, config.directions)

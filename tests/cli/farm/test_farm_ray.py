@@ -204,8 +204,8 @@ except KeyboardInterrupt as stop:
 def test_interrupted_farm_ends_its_workers_and_can_continue(ray: Any, tmp_path: Path, sent: signal.Signals) -> None:
     """Ctrl-C prints the number of finished frames.
 
-    A driver that is interrupted or killed leaves no half-made frame, and the next run continues. Modules in the working
-    folder are not run.
+    After a driver was interrupted or killed, the next run keeps the finished frames and makes the others. Modules in
+    the working folder are not run.
     """
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
     write_hostile_modules(tmp_path)

@@ -370,7 +370,7 @@ class Faults(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Stores the message of a record."""
-        if "upright" not in record.getMessage():  # expected when a mesh is added
+        if "has no position" not in record.getMessage():  # expected when a mesh is added
             self.lines.append(record.getMessage())
 
 

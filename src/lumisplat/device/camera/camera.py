@@ -195,7 +195,7 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
 
 @wp.func
 def pixel_of_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
-    """Projects a world-space point to pixel coordinates; NaN if it is not visible.
+    """Projects a world-space point to pixel coordinates; NaN behind the camera or beyond the reach of its lens.
 
     It projects through the lens centre and, with a rolling shutter, at the time of the first row.
     """

@@ -60,7 +60,8 @@ def distance_squared(kernel: KernelData, log_response: float) -> float:
 def reach_squared(kernel: KernelData, opacity: float) -> float:
     """Returns the squared canonical distance beyond which a Gaussian is ignored; negative: it is ignored everywhere.
 
-    A Gaussian ends where its alpha falls to 1/255, or its response to the minimum if that is nearer.
+    A Gaussian ends where its alpha falls to 1/255 or, if that is nearer, where its response falls to ``min_response``;
+    with adaptive clamping, where its response times opacity does.
     """
     least = OPACITY_MIN / wp.max(opacity, TINY)
     if kernel.adaptive != 0:

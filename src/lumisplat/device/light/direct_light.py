@@ -235,7 +235,7 @@ def contribution_of(interaction: Interaction, sample: LightSample, share: float)
     result.direction = sample.direction
     result.distance = sample.distance
     result.color = irradiance
-    if not interaction.shadow_only:
+    if not interaction.shadow_catcher:
         reflectance = bsdf_eval(interaction.bsdf, interaction.normal, interaction.wo, sample.direction)
         result.color = interaction.weight * wp.cw_mul(reflectance, irradiance)
     return result

@@ -67,7 +67,7 @@ def highlight_share(interaction: Interaction) -> float:
 
     The estimate is above 0 wherever the highlight reflects any light.
     """
-    if not interaction.exists or interaction.shadow_only:
+    if not interaction.exists or interaction.shadow_catcher:
         return 0.0
     bsdf = interaction.bsdf
     if bsdf.model == BSDF_SIMPLE:

@@ -212,7 +212,7 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
         interaction.bsdf.sheen_curve = wave[0].interactions.sheen_curve[j]
     interaction.weight = wave[0].interactions.weight[j]
     interaction.occlusion = wave[0].interactions.occlusion[j]
-    interaction.shadow_only = wave[0].interactions.shadow_only[j]
+    interaction.shadow_catcher = wave[0].interactions.shadow_catcher[j]
     return interaction
 
 
@@ -249,7 +249,7 @@ def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]
         wave[0].interactions.sheen_curve[j] = interaction.bsdf.sheen_curve
     wave[0].interactions.weight[j] = interaction.weight
     wave[0].interactions.occlusion[j] = interaction.occlusion
-    wave[0].interactions.shadow_only[j] = interaction.shadow_only
+    wave[0].interactions.shadow_catcher[j] = interaction.shadow_catcher
 
 
 # --- Interactions with meshes ---

@@ -223,7 +223,7 @@ def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], fir
 
     Returns the largest of these distances, at least -FAR; nodes farther away need not be visited.
     """
-    is_shadow_only = tree.number != WORLD and tree.instance.shadow_only != 0
+    is_shadow_only = tree.number != WORLD and tree.instance.shadow_catcher != 0
     reach = float(-FAR)
     for lane in range(packet.t_max.shape[0]):
         is_skipped = is_shadow_only and skips[first + lane]

@@ -235,7 +235,7 @@ def splat_interaction(
     interaction.bsdf = bsdf_of(scene[0].materials, surface.instance, surface.albedo, roughness, finish[1], 0.0, eta)
     interaction.weight = surface.share
     interaction.occlusion = 1.0
-    interaction.shadow_only = scene[0].materials[surface.instance].shadow_only != 0
+    interaction.shadow_catcher = scene[0].materials[surface.instance].shadow_catcher != 0
     return interaction
 
 

@@ -104,9 +104,9 @@ def coat_share(coat: float, alpha: float, cosine: float) -> float:
 
 @wp.func
 def sheen_share(curve: wp.vec4, cosine: float) -> float:
-    """Returns a lower bound of the albedo of white sheen for a view at a cosine from the normal.
+    """Returns the fitted albedo of white sheen for a view at a cosine from the normal.
 
-    The albedo, and so the bound, may exceed 1 at grazing angles.
+    Where the albedo is above 0.1, the fit is never below it. At grazing angles, both may exceed 1.
     """
     return wp.exp(curve[0] + cosine * (curve[1] + cosine * (curve[2] + cosine * curve[3])))
 

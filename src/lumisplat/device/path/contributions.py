@@ -439,7 +439,7 @@ def light_surface(
         return
     with_mis = uses_mis(choice.number, no_shadows, scene)
     shadows[0].opaque[i] = with_mis
-    if interaction.shadow_only:
+    if interaction.shadow_catcher:
         # Rays that leave a shadow catcher find no light but the environment, and sample it without light samples.
         if with_mis and choice.number == environment_number(scene):
             return

@@ -133,7 +133,7 @@ def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -
     if not wave[0].interactions.exists[j]:
         return 0.0
     weight = wave[0].interactions.weight[j]
-    if wave[0].interactions.shadow_only[j]:
+    if wave[0].interactions.shadow_catcher[j]:
         return wp.where(may_find_catcher, weight, 0.0)
     albedo = mean_of(wave[0].interactions.diffuse[j])
     if wave[0].interactions.model[j] != BSDF_SIMPLE and wave[0].interactions.alpha[j] <= 0.0:
@@ -183,7 +183,7 @@ def scattering_interaction(i: int, branch: Branch, wave: wp.array[WaveData]) -> 
     Shadow catchers are white for paths that measure their irradiance.
     """
     interaction = load_interaction(branch.kind * wave[0].rays.is_active.shape[0] + i, wave)
-    if interaction.shadow_only:
+    if interaction.shadow_catcher:
         interaction.bsdf = Bsdf()
         interaction.bsdf.model = BSDF_SIMPLE
         interaction.bsdf.diffuse = wp.vec3(1.0)
@@ -225,7 +225,7 @@ def scattered_step(
     step.media = scattered_media(i, branch.kind == BRANCH_MESH, sampled.direction, interaction.normal, scene, wave)
     step.weight = interaction.weight * sampled.weight
     step.pdf = sampled.pdf
-    if interaction.shadow_only:
+    if interaction.shadow_catcher:
         step.weight = wp.vec3(PI)  # irradiance over radiance
         step.pdf = LEAVES_CATCHER
     if splits:

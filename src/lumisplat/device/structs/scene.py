@@ -78,7 +78,7 @@ class SplatInstanceData:
     """1: Gaussians show their albedo instead of their SH colour."""
     stored_normals: int
     """1: use the normals stored in the asset."""
-    shadow_only: int
+    shadow_catcher: int
     """1: the instance is a shadow catcher; shadow rays that start at a shadow catcher pass it unattenuated."""
     relit: int
     """1: the instance is fully relit and shows none of its captured colour."""
@@ -126,7 +126,7 @@ class MeshData:
     indices: wp.array[wp.vec3i]
     """Vertex indices of the triangles of all meshes, into the vertex arrays ``positions`` to ``colors``."""
     texels: wp.array[wp.uint32]
-    """RGBA8 texels, sRGB-encoded, of all textures one after another."""
+    """RGBA8 texels of all textures one after another: sRGB-encoded colours, linear data."""
     linear_from_byte: wp.array[float]
     """Decoding table from sRGB bytes to linear values, 256 entries."""
     unit_from_byte: wp.array[float]

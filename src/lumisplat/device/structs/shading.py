@@ -24,8 +24,8 @@ class LightData:
     power: wp.vec3
     """Linear Rec.709 intensity; its unit depends on the type of light.
 
-    Candela for point lights and spots, lux for directional lights, radiance for rectangles and disks, factor of the
-    image for the environment."""
+    Candela for point lights and spots, lux for directional lights and the headlight, radiance for rectangles and disks,
+    factor of the image for the environment."""
     edge_u: wp.vec3
     edge_v: wp.vec3
     range: float
@@ -191,7 +191,7 @@ class MaterialData:
     """1: splats emit their captured colours and reflect no light."""
     keeps_capture: int
     """1: splats emit their captured colours and add the light that they reflect."""
-    shadow_only: int
+    shadow_catcher: int
     """1: splats are shadow catchers: they show captured colours, darkened where lights are blocked."""
     emissive: wp.vec3
     double_sided: int
@@ -335,7 +335,7 @@ class Interaction:
     """Weight of the reflected light in the ray's colour."""
     occlusion: float
     """Fraction of the environment's light that arrives (ambient occlusion)."""
-    shadow_only: bool
+    shadow_catcher: bool
     """True if the surface is a shadow catcher: it reflects no light and is only darkened where lights are blocked."""
 
 
@@ -380,7 +380,7 @@ class Interactions:
     sheen_curve: wp.array[wp.vec4]
     weight: wp.array[float]
     occlusion: wp.array[float]
-    shadow_only: wp.array[wp.bool]
+    shadow_catcher: wp.array[wp.bool]
     spawn_point: wp.array[wp.vec3]
     """Origin of shadow rays.
 

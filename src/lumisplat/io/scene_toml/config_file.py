@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from lumisplat.config import RenderConfig
+from lumisplat.config.checks import RENAMED_SETTINGS
 from lumisplat.config.setting import Setting, all_settings, settings_of
 from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io.files.atomic import atomic_write
@@ -106,7 +107,10 @@ def changed_setting(base: _Config, name: str, text: str) -> _Config:
 
 def _hint(name: str, known: Sequence[str]) -> str:
     """Returns the end of an error message about an unknown setting: similar settings, or the page that lists all."""
-    key = name.rpartition(".")[2]
+    group, _, key = name.rpartition(".")
+    renamed = ".".join(filter(None, (group, RENAMED_SETTINGS.get(key))))
+    if renamed in known:
+        return f", it is called '{renamed}' now"
     last_names = {other.rpartition(".")[2] for other in known}
     near = {key} & last_names or {*difflib.get_close_matches(key, last_names, 1, 0.75)}
     similar = difflib.get_close_matches(name, known, 1) if "." in name else []

@@ -50,7 +50,7 @@ def catches(pixel: int, scene: wp.array[ShadingScene], film: wp.array[FilmData])
     instance = film[0].pixels.instance[pixel]
     if instance < 0 or instance >= scene[0].splats.shape[0] or film[0].pixels.depth[pixel] >= wp.inf:
         return False
-    return scene[0].materials[instance].shadow_only != 0
+    return scene[0].materials[instance].shadow_catcher != 0
 
 
 @wp.kernel

@@ -303,7 +303,7 @@ def continue_paths(
     for_catcher = paths[0].for_catcher[i]
     if is_scattering(branch):
         interaction = scattering_interaction(i, branch, wave)
-        if interaction.shadow_only:
+        if interaction.shadow_catcher:
             for_catcher = True
             factor = wp.vec3(1.0)
             images_inout[0].received[paths[0].root[i]] = wp.vec3(1.0)

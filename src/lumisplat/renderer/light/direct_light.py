@@ -156,7 +156,7 @@ class DirectLight:
 
     def _visibility(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> DeviceArray:
         """Traces the shadow rays, and returns the transmittance of each, which is the visibility of its light."""
-        skips = wave.row.interactions.shadow_only
+        skips = wave.row.interactions.shadow_catcher
         with self._launcher.stage("shadow"):
             return self._shadows.trace(
                 scene,

@@ -94,7 +94,7 @@ def add_light(
             arrived = sent
             if shadowed:
                 arrived = wp.cw_mul(sent, visibility[j])
-            if wave_inout[0].interactions.shadow_only[j]:
+            if wave_inout[0].interactions.shadow_catcher[j]:
                 arrivals_inout.unshadowed[i] += sent
                 arrivals_inout.shadowed[i] += arrived
                 if catcher_light_inout:
@@ -123,7 +123,7 @@ def spawn_ambient_rays(
     i = start + wp.tid()
     stride = wave[0].interactions.exists.shape[0] // 2
     rays_out.is_active[stride + i] = False
-    rays_out.is_active[i] = wave[0].interactions.exists[i] and wave[0].interactions.shadow_only[i]
+    rays_out.is_active[i] = wave[0].interactions.exists[i] and wave[0].interactions.shadow_catcher[i]
     if rays_out.is_active[i]:
         key = branch_key(wave[0].rays.pixel_key[i], AMBIENT_BRANCH + number)
         u = sobol_2d(key, wave[0].rays.sample[i])
@@ -172,7 +172,7 @@ def darken_captured(
     arrivals_inout.reflectance[i] = wp.vec3(0.0)
     if not wave_inout[0].rays.is_active[i] or not wave_inout[0].interactions.exists[i]:
         return
-    if not wave_inout[0].interactions.shadow_only[i]:
+    if not wave_inout[0].interactions.shadow_catcher[i]:
         return
     over_light = is_over_light(i, scene, wave_inout)
     surface = splat_surface(i, over_light, scene, wave_inout)

@@ -148,7 +148,7 @@ def store_layers(
         material = scene[0].materials[surface.instance]
         shows_captured = shows_captured and material.keeps_capture == 0
         emission = albedo
-        if material.shadow_only == 0:
+        if material.shadow_catcher == 0:
             emission = wp.cw_mul(material.emissive + material.ambient, albedo)
     if shows_captured:
         captured = captured_color(surface.captured, surface.weight)
@@ -226,7 +226,7 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
 
     if reflects_light(surface):
         material = scene[0].materials[surface.instance]
-        if material.shadow_only == 0:
+        if material.shadow_catcher == 0:
             captured = wp.where(material.keeps_capture != 0, 1.0, 0.0)
             change = material.emissive + material.ambient - wp.vec3(captured)
             light += surface.share * wp.cw_mul(change, surface.albedo)
@@ -240,7 +240,7 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
         wave[0].meshes.face[i] >= 0 or camera_sees_environment, 1.0, 1.0 - surface.transmittance
     )
     if wave[0].radiance.captured_part:
-        if reflects_light(surface) and scene[0].materials[surface.instance].shadow_only != 0:
+        if reflects_light(surface) and scene[0].materials[surface.instance].shadow_catcher != 0:
             shown = captured_color(surface.captured, surface.weight)
             wave[0].radiance.captured_part[i] = wp.cw_mul(shown_share(surface, over_light, scene), shown)
     if wave[0].radiance.albedo:

@@ -65,7 +65,7 @@ def add_hard_lights(
     stride = wave_inout[0].interactions.exists.shape[0] // 2
     for slot in range(2):
         j = slot * stride + i
-        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
+        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_catcher[j]:
             wave_inout[0].radiance.light[i] += hard_light(load_interaction(j, wave_inout), no_shadows, scene)
 
 
@@ -81,7 +81,7 @@ def add_sampled_lights(
     stride = wave_inout[0].interactions.exists.shape[0] // 2
     for slot in range(2):
         j = slot * stride + i
-        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
+        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_catcher[j]:
             interaction = load_interaction(j, wave_inout)
             wave_inout[0].radiance.light[i] += sampled_light(
                 interaction, wave_inout[0].rays.pixel_key[i], wave_inout[0].rays.sample[i], no_shadows, scene

@@ -55,7 +55,7 @@ def store_splat_surfaces(
     if pixel < 0:
         return
     surfaces_out.share[pixel] = 0.0
-    if not (wave[0].rays.is_active[i] and wave[0].interactions.exists[i]) or wave[0].interactions.shadow_only[i]:
+    if not (wave[0].rays.is_active[i] and wave[0].interactions.exists[i]) or wave[0].interactions.shadow_catcher[i]:
         return
     store_surface(i, pixel, camera, wave, surfaces_out)
     surface = splat_surface(i, True, scene, wave)

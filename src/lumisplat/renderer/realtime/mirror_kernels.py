@@ -67,7 +67,7 @@ def add_cached(start: int, indirect: wp.array[wp.vec3], wave_inout: wp.array[Wav
         return
     for slot in range(2):
         j = slot * count + i
-        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
+        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_catcher[j]:
             wave_inout[0].radiance.light[i] += wave_inout[0].interactions.weight[j] * indirect[j]
 
 

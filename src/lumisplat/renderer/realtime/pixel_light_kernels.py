@@ -121,7 +121,7 @@ def store_light(
 def select_shadow_catchers(start: int, wave_inout: wp.array[WaveData]):
     """Per interaction: deletes the interaction unless it is on a shadow catcher."""
     j = start + wp.tid()
-    if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
+    if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_catcher[j]:
         wave_inout[0].interactions.exists[j] = False
 
 

@@ -64,7 +64,7 @@ def splat_instance_table(
     table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
     table["asset"] = [asset_index[id(instance.gaussians)] for instance in scene.splats]
     table["sh_degree"] = [instance.sh_degree for instance in scene.splats]
-    table["shadow_only"] = [instance.shadow_catcher for instance in scene.splats]
+    table["shadow_catcher"] = [instance.shadow_catcher for instance in scene.splats]
     table["relit"] = [is_lit and is_relit(instance) for instance in scene.splats]
     for name, values in shading_overrides(scene, is_lit).items():
         table[name] = values

@@ -124,7 +124,7 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, c
         row["emits_capture_only"] = not is_lit or emits_capture_only(splats)
         row["keeps_capture"] = not is_lit or not is_relit(splats)
         if splats.shadow_catcher:
-            row["shadow_only"] = 1
+            row["shadow_catcher"] = 1
             row["emissive"] = 1.0
             row["ambient"] = catcher_ambient(splats, scene)
     for row, meshes in zip(rows[len(scene.splats) :], scene.meshes, strict=True):

@@ -311,7 +311,7 @@ def shadow_ray_by_ray(
         if link >= 0:
             load_node(scene.tlas_nodes, link, node)
             push_entered(stack, top, node, enter_tree(node, world, HIT_PEAK, end), end)
-        elif scene.instances[~link].shadow_only == 0 or not skips[i]:
+        elif scene.instances[~link].shadow_catcher == 0 or not skips[i]:
             absorb_in_instance(stack, top, i, ~link, end, config, scene, rays, light)
     shadow = shadow_of(config, passed_share(config, light.transmittance), light.tint)
     light_inout[i] = wp.cw_mul(light_inout[i], shadow)
