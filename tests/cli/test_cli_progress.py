@@ -10,6 +10,7 @@ import warp as wp
 from rich.console import Console
 from rich.progress import Progress
 
+import lumisplat as ls
 from lumisplat.cli.output import console
 from lumisplat.cli.output.console import duration_text, progress_bars
 from support.files.cli_files import Workspace
@@ -74,6 +75,16 @@ def test_frames_limited_by_time_or_noise_print_their_samples(work, caplog) -> No
         r"the noise is 0\.\d{3} after 18 samples a pixel, where --set noise is 0\.0001: allow more samples or time"
     )
     assert re.fullmatch(expected, line)
+
+
+def test_missed_noise_level_is_logged_once_per_renderer(caplog: pytest.LogCaptureFixture) -> None:
+    """Animations in Python thus log one line, too."""
+    renderer = ls.create_renderer(ls.RenderConfig(noise=1e-4, samples=18, pipeline=ls.Pipeline.PATH), "cpu")
+    camera = ls.Camera.look_at((0, 0, 4), (0, 0, 0), width=8, height=8)
+    for intensity in (1.0, 2.0):
+        lit = ls.Scene(meshes=[ls.box(1.0)], lights=[ls.LightEnvironment(intensity=intensity)])
+        renderer.render(lit, camera)
+    assert caplog.text.count("allow more samples or time") == 1
 
 
 def announced(caplog: pytest.LogCaptureFixture) -> list[str]:

@@ -366,7 +366,7 @@ class Renderer:
             budget.add()
             if progress:
                 progress(budget.label, budget.fraction)
-        budget.close()
+        self._light_warnings.warn_of_noise_level(budget.close())
         self._frame_number += plan.has_history
         self._film.finish(self._scene)
         counts = self._binning.counts if plan.rasterises else BinningCounts()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 
@@ -12,8 +11,6 @@ from lumisplat.constants import NOISE_SAMPLES_MIN
 NOISE_CHECKS = 8
 """Number of noise estimates while the number of samples doubles. A frame takes at most an eighth more samples than its
 noise level needs."""
-
-_log = logging.getLogger("lumisplat")
 
 ALMOST = 0.999
 """Largest fraction reported for unfinished work."""
@@ -59,20 +56,19 @@ class SampleBudget:
         parts = ["tracing", f"{self.done:,} {'sample' if self.done == 1 else 'samples'}"]
         return ", ".join(parts if self.noise is None else [*parts, f"noise {self.noise:.3f}"])
 
-    def close(self) -> None:
-        """Makes a rough noise estimate if there are few samples, and warns if the noise level was not reached."""
+    def close(self) -> str | None:
+        """Makes a rough noise estimate if there are few samples; returns a warning if it is above the noise level."""
         is_rough = self.done < NOISE_SAMPLES_MIN
         if self._estimate is not None and is_rough and self.done > 1:
             self.noise = self._estimate()
         wanted = self._config.noise
         if wanted is not None and (is_rough or self.noise is None or self.noise > wanted):
             found = "too few samples to estimate the noise" if is_rough else f"the noise is {self.noise:.3f}"
-            _log.warning(
-                "%s after %s samples a pixel, where RenderConfig.noise is %g: allow more samples or time",
-                found,
-                f"{self.done:,}",
-                wanted,
+            return (
+                f"{found} after {self.done:,} samples a pixel, where RenderConfig.noise is {wanted:g}: allow more "
+                "samples or time"
             )
+        return None
 
     def _update(self) -> None:
         """Estimates the noise if an estimate is due at this number of samples, and updates ``fraction``."""

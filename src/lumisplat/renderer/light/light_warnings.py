@@ -16,10 +16,10 @@ _noise_log = logging.getLogger("lumisplat.noise")  # a separate logger, so that 
 
 
 class LightWarnings:
-    """Warns once of lights that are noisy for lack of samples, and once of refractive meshes that are not closed."""
+    """Warns once each of lights with too few samples, missed noise levels, and refractive meshes that are open."""
 
     def __init__(self) -> None:
-        self._has_warned_of_noise = self._has_warned_of_media = False
+        self._has_warned_of_noise = self._has_warned_of_noise_level = self._has_warned_of_media = False
 
     def warn_of_noise(self, plan: FramePlan, samples: int) -> None:
         """Warns if the number of samples is lower than the frame's randomly sampled lights need."""
@@ -32,6 +32,12 @@ class LightWarnings:
                 "sample" if samples == 1 else "samples",
                 plan.samples_wanted,
             )
+
+    def warn_of_noise_level(self, warning: str | None) -> None:
+        """Logs the first warning about a frame whose samples did not reach the requested noise level."""
+        if warning is not None and not self._has_warned_of_noise_level:
+            self._has_warned_of_noise_level = True
+            _log.warning("%s", warning)
 
     def warn_of_media(self, plan: FramePlan, scene: Scene, buffers: Buffers) -> None:
         """Warns if rays of the last sample left the inside of a mesh without having entered the mesh."""
