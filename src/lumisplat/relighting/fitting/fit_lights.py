@@ -40,9 +40,10 @@ LATTICE_SIDES = (3, 4)
 """Sizes of the lattices of trial positions, searched one after the other: n means n^3 positions in the box of the
 scene. With only one of the two lattices, one of three lights was placed wrongly from one image."""
 
-STEPS_EXPECTED = 8
-"""Number of Gauss-Newton steps that a search is expected to take, for the progress bar. Most searches took 2 to 8; two
-that began far from the minimum took 11 and 22."""
+STEPS_EXPECTED = 12
+"""Number of Gauss-Newton steps that a search is expected to take, for the progress bar. Searches near the minimum took
+1 to 9 steps, those that began far from it, as in real images, 11 to 22. If fewer are expected than taken, the bar waits
+at the end of a stage."""
 
 _log = logging.getLogger("lumisplat")
 
