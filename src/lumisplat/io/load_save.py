@@ -40,23 +40,25 @@ Progress = Callable[[float], None]
 
 
 class _LoadOptions(NamedTuple):
-    """Options of `load` that only the readers of some formats take."""
+    """Options of `load` for single formats; readers of all other formats ignore them."""
 
     drop_invalid: bool
-    """Whether readers of glTF and OpenUSD drop invalid Gaussians. Captures of other formats are checked after reading.
+    """Whether the glTF and OpenUSD readers drop Gaussians with NaN or infinite values instead of refusing the file.
+    For other formats, `load` applies the option itself after reading.
     """
     crease_angle: float | None
-    """Smoothing angle of OBJ files in radians; None uses the reader's default."""
+    """Angle in radians below which faces of an OBJ without normals are shaded smoothly; None: 0.9, `CREASE_ANGLE`."""
     up: str | npt.ArrayLike | None
-    """Up direction of scene files that do not state it."""
+    """Up direction for a ``scene.toml`` that states none: an axis (``"y-down"``) or a vector; None guesses it."""
     progress: Callable[[float], None] | None
-    """Progress callback of the PLY reader."""
+    """Called by the PLY reader with the fraction read, 0..1; None reports nothing."""
     incident: bool
-    """Whether to read the incident light that a PLY may store."""
+    """Whether to read the SH of incident light that R3DG stores in a PLY for each Gaussian (``incidents_*``)."""
     lod: int | None
-    """Level of detail of streamed SOGs and captures in blocks, 0 the finest."""
+    """Level of detail to load of a streamed SOG or a capture in blocks, 0 the finest; None: 0, or by ``budget``."""
     budget: int | None
-    """Largest number of Gaussians to load from streamed SOGs and captures in blocks."""
+    """Load the finest level of a streamed SOG or a capture in blocks that has at most this many Gaussians; None: no
+    limit."""
 
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -73,10 +75,11 @@ _READERS = {
     ".gltf": "gltf.scene.read_gltf",
     **dict.fromkeys(USD, "usd.scene.read_usd"),
 }
-"""Reader of each extension. PLY files, scene files and captures with levels of detail are handled separately."""
+"""Reader of each extension, as module and function name. `_read` handles PLY, scene files and levels of detail itself.
+"""
 
 _LOD_READERS = {STREAMED_SOG: "splats.streamed_sog.read_streamed_sog", BLOCKS: "blocks.views.read_blocks"}
-"""Readers of captures with levels of detail."""
+"""Readers of the two formats with levels of detail, streamed SOG and blocks, as module and function names."""
 
 _ANIMATION_READERS = {
     **dict.fromkeys((".glb", ".gltf"), "gltf.animation.read_gltf_animation"),
@@ -569,7 +572,15 @@ def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _L
 
 
 def _writer_of(path: PathLike, *, scene: bool) -> str:
-    """Returns the name of the writer for a file's extension; arguments as in `check_format`."""
+    """Returns the writer for the extension of ``path``, such as ``splats.spz.write_spz``.
+
+    Args:
+        path: The file.
+        scene: Whether a mesh or a scene will be saved; otherwise Gaussians.
+
+    Raises:
+        FormatError: The extension is unknown, or the format stores only captures and ``scene`` is True.
+    """
     name = f"/{Path(path).name.lower()}"
     if writer := next((_SCENE_WRITERS[end] for end in _SCENE_WRITERS if name.endswith(end)), None):
         return writer
@@ -583,13 +594,13 @@ def _writer_of(path: PathLike, *, scene: bool) -> str:
 
 
 def _import(function: str) -> Any:
-    """Returns a function of this package by its dotted name, as in ``splats.spz.read_spz``; imports its module."""
+    """Imports and returns a function of `lumisplat.io`, named by module and function: ``splats.spz.read_spz``."""
     module, _, name = function.rpartition(".")
     return getattr(import_module(f"{__package__}.{module}"), name)
 
 
 def _read_ply(path: Path, progress: Callable[[float], None] | None, *, incident: bool) -> SplatColumns | Mesh:
-    """Reads a capture or a mesh; ``progress`` and ``incident`` as in `load`."""
+    """Reads a PLY file as a mesh if it has faces, else as a capture; ``progress`` and ``incident`` as in `load`."""
     from lumisplat.io.ply import read_ply_header
     from lumisplat.io.splats.compressed_ply import is_compressed_header, read_compressed_ply
     from lumisplat.io.splats.splat_ply import read_splat_ply
@@ -621,7 +632,7 @@ def holds_mesh(path: Path) -> bool:
 
 
 def _has_faces(header: PlyHeader) -> bool:
-    """Returns whether a PLY has faces or triangle strips, and no Gaussians."""
+    """Returns whether a PLY header declares a mesh: faces or triangle strips, and no Gaussian properties."""
     from lumisplat.io.splats.splat_ply import is_gaussian_element
 
     vertex, surfaces = header.element("vertex"), map(header.element, ("face", "tristrips"))
@@ -629,7 +640,10 @@ def _has_faces(header: PlyHeader) -> bool:
 
 
 def _in_folder(path: Path) -> Path:
-    """Returns the camera file in a folder of images; returns ``path`` itself if it is a file, or has no camera file."""
+    """Returns the file with the cameras of a folder of images, such as its ``transforms.json`` or COLMAP model.
+
+    ``path`` itself is returned if it is a file, or a folder without such a file.
+    """
     if not os.path.isdir(path):  # a name that is too long also gives False
         return path
     from lumisplat.io.training_images.loading import find_model
@@ -639,6 +653,6 @@ def _in_folder(path: Path) -> Path:
 
 
 def _check_path_first(call: str, path: object) -> None:
-    """Refuses swapped arguments of a save function, with a message that shows the right order."""
+    """Raises `ConfigError` if the first argument of the save function ``call`` is no path: arguments are swapped."""
     if not isinstance(path, str | os.PathLike):
         raise ConfigError(f"{call}: the path comes first, got {type(path).__name__}")

@@ -39,10 +39,10 @@ _PREFIXES = re.compile(r"(?:scalar_|scal_)+")
 """Matches the prefixes that CloudCompare adds to the names of scalar fields, again each time that it saves the file."""
 
 _COLOR_NAMES = (("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-"""Other names that files give the properties red, green and blue."""
+"""Triples of property names that some writers use in place of red, green and blue."""
 
 _BLOCK_BYTES = 2**20
-"""Bytes of rows that are read at once, few enough to stay in the CPU cache while their columns are separated."""
+"""Bytes of rows that `read_ply_rows` reads at once: few enough to stay in the CPU cache while columns are copied."""
 
 PlyRows = npt.NDArray[np.void]
 """Rows of an element as a structured array, with a field for each property."""
@@ -115,10 +115,10 @@ class PlyHeader:
         return np.dtype([(prop.name, _ENCODINGS[self.encoding] + prop.code) for prop in element.properties])
 
     def start(self, element: PlyElement) -> tuple[int, int]:
-        """Returns where an element begins: byte offset of its rows in a binary file, and number of rows before it.
+        """Returns where the rows of an element begin: byte offset in a binary file, and number of rows before them.
 
         Raises:
-            FormatError: An earlier element has list properties.
+            FormatError: An earlier element has list properties, so that its size is unknown.
         """
         before = list(itertools.takewhile(lambda other: other is not element, self.elements))
         size = sum(other.count * self.dtype(other).itemsize for other in before)
@@ -177,9 +177,9 @@ def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...]
 
 
 def _with_usual_names(properties: list[PlyProperty]) -> list[PlyProperty]:
-    """Returns properties in lower case, without CloudCompare's prefixes, with colours named red, green and blue.
+    """Normalises property names: lower case, no CloudCompare prefix (``scalar_``), colours named red, green and blue.
 
-    A property keeps its name if another property already has the new name.
+    A property keeps its name if the new name is also that of another property.
     """
     names = [prop.name for prop in properties]
     plain = [(_PREFIXES.sub("", name, count=1) if _PREFIXES.match(name) else name).lower() for name in names]
@@ -194,14 +194,14 @@ def _with_usual_names(properties: list[PlyProperty]) -> list[PlyProperty]:
 
 
 def _refuse_truncated(header: PlyHeader, element: PlyElement, found: str) -> NoReturn:
-    """Raises a `FormatError` that says how many rows of an element the file holds: ``found``, fewer than declared."""
+    """Raises a `FormatError`: the header promises more rows of ``element`` than ``found``, the count in the file."""
     raise FormatError(
         header.path, f"truncated: the header promises {element.count:,} rows of {element.name}, the file holds {found}"
     )
 
 
 def ply_header_bytes(comments: tuple[str, ...], elements: list[tuple[str, int, str, list[str]]]) -> bytes:
-    """Returns the header of a little-endian file.
+    """Returns the header of a binary little-endian PLY file.
 
     Args:
         comments: One comment line each; line breaks inside a comment become spaces.
@@ -286,12 +286,12 @@ class PlyList(NamedTuple):
 
 
 class _Span(NamedTuple):
-    """Position of one list in the binary data of an element."""
+    """Position and length of one list of one row, within the binary data of an element's rows."""
 
     start: int
-    """Byte offset of the first item."""
+    """Byte offset of the list's first item from the beginning of the element's rows."""
     length: int
-    """Number of items."""
+    """Number of items in the list."""
 
 
 def read_ply_lists(header: PlyHeader, element: PlyElement, scalars: Collection[str] = ()) -> dict[str, PlyList]:
@@ -326,7 +326,10 @@ def read_ply_lists(header: PlyHeader, element: PlyElement, scalars: Collection[s
 
 
 def _with_types(element: PlyElement, order: str, code: str | None = None) -> PlyElement:
-    """Returns an element with the byte order ``order`` in its type codes; ``code``, if given, replaces all types."""
+    """Returns the element with the byte order ``order`` (``<`` or ``>``) put before each NumPy type code.
+
+    If ``code`` is given, it replaces the types of all numbers, list items and list lengths.
+    """
     properties = (
         PlyProperty(p.name, order + (code or p.code), p.count_code and order + (code or p.count_code))
         for p in element.properties
@@ -353,10 +356,19 @@ def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_
 def _walk(
     header: PlyHeader, element: PlyElement, data: bytes, count: int, scalars: Collection[str]
 ) -> dict[str, list[_Span]]:
-    """Finds the positions of lists and of ``scalars`` in the first ``count`` rows of binary data.
+    """Locates every list in the first ``count`` rows of an element, and returns the locations by property name.
+
+    Properties in ``scalars`` are numbers, located as lists of one item. All other numbers are skipped.
+
+    Args:
+        header: Header of the file, for messages.
+        element: The element.
+        data: Binary data of the element's rows.
+        count: Number of rows to read.
+        scalars: Names of number properties to locate.
 
     Raises:
-        FormatError: The data ends before these rows are complete.
+        FormatError: The data ends before the last of these rows, or a list has a negative length.
     """
     counters = [
         struct.Struct(p.count_code[0] + np.dtype(p.count_code).char) if p.count_code else None
@@ -398,7 +410,9 @@ def _walk(
 
 
 def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]]) -> dict[str, PlyList] | None:
-    """Returns the lists if all rows have lists as long as those of the first row, as in a triangle mesh; else None.
+    """Returns the lists of all rows at once if they are as long as those of the first row, as in a triangle mesh.
+
+    None if any list differs in length.
 
     Args:
         element: The element.
@@ -421,7 +435,7 @@ def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]])
 
 
 def _gather(prop: PlyProperty, data: bytes, spans: list[_Span]) -> PlyList:
-    """Returns the lists of a property, copied from the given positions in the data."""
+    """Copies the lists at the positions ``spans`` of the binary data to one array, all of the property ``prop``."""
     size = np.dtype(prop.code).itemsize
     items = b"".join([data[start : start + length * size] for start, length in spans])
     return PlyList(np.array([span.length for span in spans]), np.frombuffer(items, prop.code))

@@ -31,14 +31,14 @@ from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
 
 BLOCK_DEPTH_MAX = 16
-"""Largest number of times that a cube is split. Gaussians at one position cannot be separated by more splits."""
+"""Largest number of times that a cube is halved along each axis; more would never separate Gaussians at one position.
+"""
 
 BLOCK_LEVEL_RATIO = 4
-"""Number of Gaussians of a level of detail divided by that of the next coarser level."""
+"""Factor by which the number of Gaussians falls from one level of detail to the next coarser one."""
 
 BLOCK_CELLS_MAX = 2**16
-"""Largest number of cubes of a capture before splitting, each of which is a file. More cubes mean that ``cell`` is
-wrong."""
+"""Largest number of cubes before any is split; each is a file while blocks are written. More: ``cell`` is too small."""
 
 _INDEX = BLOCKS
 """File name of the index. It is written last, so a folder without it is an incomplete capture."""
@@ -47,7 +47,7 @@ _GAUSSIAN_FLOATS = 11
 """Numbers per Gaussian before its SH coefficients: mean, quaternion (wxyz), scales, opacity."""
 
 _COLUMNS = (slice(3), slice(3, 7), slice(7, 10), 10, slice(_GAUSSIAN_FLOATS, None))
-"""Columns of the row of a Gaussian: mean, quaternion, scales, opacity and SH coefficients."""
+"""Columns of a stored row: 0 to 2 mean, 3 to 6 quaternion wxyz, 7 to 9 scales, 10 opacity, and the SH after them."""
 
 _CAPTURE_FILES = re.compile(r"cell[0-9_-]+\.part|\d{6,}(_\d+)?\.bin|\..*\.lumisplat(\.json)?")
 """Matches names of the files that an interrupted write may leave in the folder."""
@@ -58,7 +58,7 @@ class BlockLevel:
     """The Gaussians of a block at one level of detail."""
 
     file: str
-    """Name of a file in the capture's folder, with rows of float32."""
+    """Name of the file, in the capture's folder, that holds the Gaussians of this level as rows of float32."""
     count: int
     scale_max: float
     """Largest standard deviation of any Gaussian of the level along any axis, scene units."""
@@ -96,7 +96,7 @@ class BlockIndex:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments of `Gaussians` that are not arrays."""
+        """Keyword arguments for `Gaussians` besides its arrays: antialiasing, up direction and first view."""
         return {"antialiased": self.antialiased, **self.orientation._asdict()}
 
     @property
@@ -212,12 +212,12 @@ def packed(gaussians: Gaussians) -> FloatArray:
 
 
 def unpacked(rows: FloatArray, **settings: Any) -> Gaussians:
-    """Unpacks rows to Gaussians; ``settings`` as for `joined`."""
+    """Builds `Gaussians` from packed rows, the inverse of `packed`; ``settings`` as for `joined`, such as ``up``."""
     return joined([rows], len(rows), rows.shape[1], **settings)
 
 
 def joined(pieces: Iterable[FloatArray], count: int, width: int, **settings: Any) -> Gaussians:
-    """Unpacks rows that arrive in pieces to Gaussians, holding only one piece besides the result in memory.
+    """Builds `Gaussians` from packed rows that arrive in pieces; besides the result, only one piece is in memory.
 
     Args:
         pieces: Arrays of rows, shape (rows, width) each.
@@ -319,7 +319,7 @@ def write_blocks(
 
 
 def _prepare_folder(target: Path) -> bool:
-    """Creates the folder, and removes files that a killed run left in it. Returns whether the folder is new."""
+    """Creates the folder of a new capture, or removes the files of a killed run from it. Returns whether it is new."""
     if (target / _INDEX).exists():
         raise FormatError(target, "holds a complete capture in blocks: give another folder, or delete this one")
     if target.is_dir() and unfinished_writes(target / _INDEX):
@@ -404,9 +404,9 @@ class _Writer:
 
         Args:
             rows: Rows as from `packed`.
-            edge: Edge length of the cubes.
+            edge: Edge length of the cubes, scene units.
             name: Beginning of the names of new files.
-            cells: File of each cube by the cube's integer coordinates; new files are added.
+            cells: File of each cube, by the cube's integer coordinates, mean / edge rounded down; new files are added.
         """
         keys: npt.NDArray[np.int64] = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
         low = keys.min(axis=0)
@@ -434,7 +434,12 @@ class _Writer:
                 file.write(ordered[end - count : end].astype("<f4", copy=False).tobytes())
 
     def _blocks(self, path: Path, depth: int) -> Iterator[Block]:
-        """Yields the blocks of a cube; too many Gaussians are split into several blocks. The cube's file is removed."""
+        """Yields the blocks of one cube: one, or those of its eight parts if it has too many Gaussians.
+
+        Args:
+            path: File with the rows of the cube, which is removed.
+            depth: Number of splits that led to this cube.
+        """
         count = path.stat().st_size // (4 * self._width)
         if count <= self._block_max or depth >= BLOCK_DEPTH_MAX:
             yield self._block(path, count)
@@ -448,7 +453,7 @@ class _Writer:
             yield from self._blocks(parts[part], depth + 1)
 
     def _block(self, path: Path, count: int) -> Block:
-        """Converts the file of a cube to a block with ``count`` Gaussians, and writes the block's coarser levels."""
+        """Makes a block from the file of a cube with ``count`` Gaussians, and writes its coarser levels of detail."""
         name = f"{self._count:06d}"
         self._count += 1
         low, high = np.full(3, np.inf), np.full(3, -np.inf)

@@ -33,7 +33,7 @@ BLOCK_SAMPLE = 2**16
 """Number of Gaussians sampled from a file to choose the edge length of cubes."""
 
 BLOCK_CELLS = 4096
-"""Largest number of cubes that the sampled Gaussians may occupy."""
+"""Largest number of cubes that may contain a sampled Gaussian, for the edge length that `PlyStream.cell` chooses."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -55,7 +55,7 @@ class PlyStream:
     _header: PlyHeader
     _vertex: PlyElement
     _activated: tuple[bool, bool]
-    """Whether scales, and whether opacities, are stored directly; `stored_activated` infers both from a sample."""
+    """Two flags that `stored_activated` infers from a sample: scales are no logarithms, and opacities are no logits."""
 
     def __iter__(self) -> Iterator[Gaussians]:
         """Yields the Gaussians of the file in chunks, in file order.
@@ -109,9 +109,10 @@ class PlyStream:
         )
 
     def cell(self, block_max: int = BLOCK_GAUSSIANS_MAX) -> float:
-        """Chooses the ``cell`` for `lumisplat.io.write_blocks`, an edge length in scene units at which cubes are few.
+        """Chooses the ``cell`` of `lumisplat.io.write_blocks`: the edge length of the cubes in scene units.
 
-        The choice is made from a sample of the Gaussians.
+        It is the smallest power of two with which a sample of the Gaussians lies in at most 4096 cubes, fewer for small
+        captures.
 
         Args:
             block_max: Largest number of Gaussians in a block, as for `lumisplat.io.write_blocks`.
@@ -202,7 +203,10 @@ def _sample(header: PlyHeader, vertex: PlyElement) -> PlyRows:
 
 
 def _materials(header: PlyHeader, vertex: PlyElement) -> list[str]:
-    """Returns the names of the materials and incident light in a file. Normals do not count: INRIA's are all zero."""
+    """Returns the names of the material fields that a file stores, and "incident light" if it stores that.
+
+    Normals do not count, because INRIA's are all zero.
+    """
     stored = material_columns_of(vertex.names, header.comments).properties
     names = [name for name in FIELDS[1:] if name in stored and set(stored[name]) <= set(vertex.names)]
     return names + ["incident light"] * ("incidents_dc_0" in vertex.names)

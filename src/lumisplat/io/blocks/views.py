@@ -28,7 +28,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import default_near, register_box
 
 BLOCK_PREVIEW = 2**18
-"""Number of Gaussians sampled from a capture to frame a view of the whole capture."""
+"""Number of Gaussians that `thin_blocks` samples from a capture by default, enough to fit a camera to its extent."""
 
 BLOCK_MEMORY = 5
 """Memory that Gaussians take while they are rendered, as a multiple of their size on disk.
@@ -44,7 +44,7 @@ _DILATION_PX = _REACH * math.sqrt(0.3) + 1.0
 rounding."""
 
 _CUTS_MAX = 8
-"""Largest number of columns, and largest number of rows, of windows that a view is split into."""
+"""Largest number of columns and of rows of windows that `plan_views` splits a view into, to fit into memory."""
 
 
 class BlockPart(NamedTuple):
@@ -82,7 +82,7 @@ def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) ->
 
 
 def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
-    """Loads the Gaussians of blocks at the given levels, in the order of ``parts``.
+    """Loads the Gaussians of blocks, each at the level of detail that ``parts`` gives, in the order of ``parts``.
 
     Raises:
         FormatError: A file cannot be read, or the blocks do not fit into the machine's memory.
@@ -166,12 +166,15 @@ def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
 
 
 def _bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:
-    """Returns the total size of blocks on disk, bytes."""
+    """Returns the total size on disk of blocks at the given levels of detail, bytes."""
     return index.row_bytes * sum(index.blocks[part.block].levels[part.level].count for part in parts)
 
 
 def _level(block: Block, size: float) -> int:
-    """Returns the coarsest level with ``scale_mean`` of at most ``size`` scene units, or the finest if none has."""
+    """Returns the coarsest level of detail whose mean Gaussian size, ``scale_mean``, is at most ``size`` scene units.
+
+    If no level is that fine, the finest is returned.
+    """
     fine = [number for number, level in enumerate(block.levels) if level.scale_mean <= size]
     return fine[-1] if fine else 0
 
@@ -214,7 +217,8 @@ class WorkerPlan:
     views: range
     """Indices of the views that the worker renders."""
     tiles: int
-    """Number of windows to render. A view counts as one window, unless its blocks do not fit into memory at once."""
+    """Number of images to render: one for each view, or the number of windows that a view is split into to fit into
+    memory."""
     held_bytes: int
     """Largest total size of blocks that are in memory at one time, measured in bytes on disk."""
     moved_bytes: int
@@ -236,7 +240,7 @@ def plan_views(
         cameras: Cameras of the views, in order, as for `lumisplat.io.visible_blocks`.
         workers: Number of workers.
         memory_bytes: Memory of each worker for Gaussians, in bytes on disk.
-        pixels: Largest projected size of coarser levels, as for `lumisplat.io.visible_blocks`.
+        pixels: Mean size in pixels up to which Gaussians of coarser levels may be used; 0 uses the finest level only.
 
     Raises:
         ConfigError: ``workers`` or ``memory_bytes`` is not a positive whole number.
@@ -250,7 +254,7 @@ def plan_views(
 
 
 def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_bytes: int, pixels: float) -> WorkerPlan:
-    """Simulates the block cache of one worker over its views."""
+    """Plans the views of one worker by simulating which blocks its LRU cache loads and drops."""
     cache: OrderedDict[BlockPart, int] = OrderedDict()
     held = most = moved = tiles = too_large = 0
     for view in views:
@@ -271,9 +275,9 @@ def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_b
 
 
 def _windows(index: BlockIndex, camera: Camera, memory_bytes: int, pixels: float) -> list[list[BlockPart]]:
-    """Returns the blocks of a view, or of each of its windows if the blocks of the view do not fit into memory.
+    """Returns the blocks of a view; if they do not fit into memory, those of each window of the view.
 
-    The view is split into as few windows as fit.
+    The view is split into as few windows as fit, at most `_CUTS_MAX` per side.
     """
     cuts = 1
     while True:

@@ -19,7 +19,7 @@ from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.camera import Camera, CameraModel
 
 _FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
-"""Files of a model, any of which a caller may name instead of the model's folder."""
+"""Files of a COLMAP sparse model; a caller may pass the path of any of them instead of the model's folder."""
 
 _NAMES: tuple[str, ...] = (
     *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV"),
@@ -100,7 +100,11 @@ def count_colmap_images(folder: Path) -> int:
 
 
 def _file(folder: Path, stem: str) -> Path:
-    """Finds a file of the model by its stem; .bin takes precedence over .txt, as in COLMAP."""
+    """Returns the file of a model by its stem, such as ``images``; .bin takes precedence over .txt, as in COLMAP.
+
+    Raises:
+        FormatError: The folder has neither.
+    """
     for suffix in (".bin", ".txt"):
         if (folder / (stem + suffix)).is_file():
             return folder / (stem + suffix)

@@ -40,7 +40,9 @@ def unique_names(cameras: list[Camera]) -> list[Camera]:
 
 
 def pose_of_node(world_from_node: Doubles) -> Doubles:
-    """Converts a node transform with OpenGL axes to ``camera_from_world``, rigid even if the node scales or shears.
+    """Converts the transform of a glTF camera node, OpenGL axes, to ``camera_from_world``, OpenCV axes.
+
+    The result is rigid even if the node scales or shears.
 
     Args:
         world_from_node: Transform of the node, shape (4, 4).

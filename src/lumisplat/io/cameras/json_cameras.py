@@ -32,7 +32,7 @@ from lumisplat.scene.camera import Camera, CameraModel
 _log = logging.getLogger("lumisplat")
 
 Entry = Mapping[str, Any]
-"""A JSON object."""
+"""A parsed JSON object: a whole camera file, or one of its frames."""
 Matrix = npt.NDArray[np.float64]
 
 _PATH_MODELS = {"perspective": CameraModel.PINHOLE, "fisheye": CameraModel.FISHEYE}
@@ -52,7 +52,7 @@ _MODELS = {
     "FISHEYE": CameraModel.FISHEYE,
     "ORTHOPHOTO": CameraModel.ORTHOGRAPHIC,
 }
-"""Camera models by their nerfstudio names. A model with several names is written by its first name."""
+"""Camera models by their names in ``transforms.json``. Files are written with the first of several names."""
 
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 """Keys of the lens distortion, in the order of `Camera.distortion`."""
@@ -258,7 +258,7 @@ def _refuse_lenses(cameras: Sequence[Camera]) -> None:
 
 
 def _model(values: Entry) -> CameraModel:
-    """Returns the camera model of a frame."""
+    """Returns the camera model that a frame of ``transforms.json`` states; a pinhole if it states none."""
     key = "camera_model" if "camera_model" in values else "camera_type"
     name = "OPENCV_FISHEYE" if values.get("is_fisheye") else values.get(key, "OPENCV")
     if not isinstance(name, str) or name.upper() not in _MODELS:
@@ -282,7 +282,14 @@ def _image_size(path: Path, values: Entry, fallback: tuple[int, int] | None) -> 
 
 
 def _focal(values: Entry, angle_name: str, size: float, default: float | None = None) -> float:
-    """Returns the focal length in pixels for a field of view in radians, or ``default`` if the key is missing."""
+    """Returns the focal length in pixels from a field of view, 0.5 ``size`` / tan(0.5 angle).
+
+    Args:
+        values: The frame.
+        angle_name: Key of the field of view in radians, ``camera_angle_x`` or ``camera_angle_y``.
+        size: Width or height of the image, pixels.
+        default: Result if the frame lacks the key; None raises `SceneError` instead.
+    """
     if angle_name not in values:
         if default is None:
             raise SceneError("has no intrinsics: expected fl_x, or camera_angle_x")
@@ -348,10 +355,16 @@ def parse_json(path: Path) -> object:
 
 
 def decode_frame(path: Path, index: int, entry: object, decode: Callable[[Entry], Camera]) -> Camera:
-    """Decodes one frame of a camera file.
+    """Creates the camera of a frame by ``decode``, and turns its errors into a `FormatError` that names the frame.
+
+    Args:
+        path: The camera file.
+        index: Index of the frame.
+        entry: JSON value of the frame.
+        decode: Creates a camera from a JSON object.
 
     Raises:
-        FormatError: The entry is not an object, or ``decode`` refuses it; the message names the frame.
+        FormatError: The entry is not an object, or ``decode`` refuses it.
     """
     if not is_object(entry):
         raise FormatError(path, f"frame {index} is {quote(entry)}, expected an object with a pose")

@@ -49,9 +49,9 @@ class SceneEntry:
     world_from_file: Doubles | None = None
     """Transform from the asset's file to the world, a similarity, shape (4, 4); None for lights."""
     _assets: tuple[Scene, ...] = field(default=(), repr=False)
-    """Loaded assets, reused when the entry is edited."""
+    """Scenes loaded from the entry's file, before and after its changes; kept so that edits need not load it again."""
     _poses: dict[float, tuple[Instance, ...]] = field(default_factory=dict[float, tuple[Instance, ...]], repr=False)
-    """Instances of the actor at the last requested time. Edits of other entries therefore return the same objects."""
+    """Cache of `at`: instances of an actor at the last requested time, so that equal times give identical objects."""
 
     @property
     def name(self) -> str:
@@ -164,7 +164,7 @@ class EntryReader:
         return self._assets
 
     def _environment(self, table: TomlTable) -> LightEnvironment:
-        """Reads an environment table. The image of each path is read once."""
+        """Reads an ``[environment]`` table as a light. An image that several edits of the table name is read once."""
         path = table.values.get("path")
         if path is None:
             return read_environment(table)
@@ -178,14 +178,17 @@ class EntryReader:
 
 
 def _is_inserted(entry: SceneEntry) -> bool:
-    """Returns whether an entry has no placement in its table and was therefore inserted into the scene."""
+    """Returns whether an entry states no placement, so that `lumisplat.insert` chose one beside the captures."""
     if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
         return False
     return not np.array_equal(entry.world_from_file, placement(TomlTable.of(Path(), dict(entry.table))))
 
 
 def explicit_table(entry: SceneEntry) -> dict[str, Any]:
-    """Returns the table of an entry with its current placement as numbers, independent of the other entries."""
+    """Returns an entry's table; a mesh or actor that was inserted without a placement gets its placement as numbers.
+
+    The table then gives the same placement whatever other entries the scene has.
+    """
     if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
         return dict(entry.table)
     rest = {key: value for key, value in entry.table.items() if key not in ("ground", "front")}

@@ -194,12 +194,12 @@ def saved_assets(
 
 @dataclass(slots=True)
 class _Folder:
-    """Asset folder beside a scene file, with the files written to it."""
+    """The folder ``NAME.assets`` beside a scene file, to which assets in memory are saved."""
 
     path: Path
     reader: EntryReader
     used: set[str]
-    """Paths of the files that entries refer to, with symbolic links resolved."""
+    """Paths that new files must not take: files that entries refer to or that were written, symbolic links resolved."""
     overwrite: bool
     _files: dict[str, Path] = field(default_factory=dict[str, Path])
 
@@ -244,7 +244,7 @@ class _Folder:
         return relative_path(self._files[key], self.reader.file.absolute().parent)
 
     def _material(self, entry: SceneEntry, name: str) -> dict[str, Any]:
-        """Returns the complete material table of a mesh, whose PLY file stores no material, and writes its textures."""
+        """Returns a mesh's material as a scene file table, and writes its textures as PNG: PLY stores no materials."""
         mesh = entry.meshes[0].mesh
         material, given = mesh.material, entry.table.get("material", {})
         table: dict[str, Any] = {"base_color": list(material.base_color)} | material_table(material)

@@ -68,7 +68,7 @@ class SceneDocument:
     _scenes: dict[float, tuple[Scene, list[SceneEntry]]] = field(
         default_factory=dict[float, tuple[Scene, list[SceneEntry]]], kw_only=True, repr=False
     )
-    """Result of the last call of `scene`, by its time: the scene, and the entry that each instance belongs to."""
+    """Cache of `scene`: for the last requested time, the scene and the entry that each of its instances belongs to."""
 
     @classmethod
     def open(
@@ -84,7 +84,8 @@ class SceneDocument:
         Args:
             paths: Captures, meshes, and at most one ``scene.toml``. Its tables are kept as written, without comments.
             load: Function that reads a capture or mesh; None uses `lumisplat.load`.
-            up: Up direction if the scene file does not give one; None uses that of `lumisplat.Scene.up_direction`.
+            up: Up direction if the scene file does not give one. None uses the up direction that a capture states, else
+                y down for a scene with captures and y up for one with only meshes.
             keep_coordinates: Whether meshes opened beside captures keep the coordinates of their files. Otherwise they
                 are inserted into the captures as by `lumisplat.insert`. Does not apply to meshes of a scene file.
 
@@ -292,7 +293,7 @@ class SceneDocument:
         """Sets the up direction.
 
         Meshes and actors that stand upright among captures are rotated about their lowest point to stand upright again.
-        An environment whose image is upright is rotated, too. All other entries keep their transform.
+        An environment image whose top points up is rotated, too. All other entries keep their transform.
 
         Args:
             up: An axis (``"z-up"``) or a direction of any length, world space.
@@ -306,7 +307,7 @@ class SceneDocument:
         return replace(self, entries=entries, top=dict(self.top) | {"up": list(now)}, _reader=reader, _scenes={})
 
     def split(self, number: int) -> SceneDocument:
-        """Makes each mesh in a mesh entry's file a separate entry; the lights of the file become entries, too.
+        """Replaces a mesh entry by one entry for each mesh in its file, and one for each light in its file.
 
         Raises:
             SceneError: The file has only one mesh.
@@ -406,7 +407,7 @@ class SceneDocument:
             Path(temporary).write_bytes(text)
 
     def _written(self, entry: SceneEntry) -> dict[str, Any]:
-        """Returns the saved table of an entry. Meshes and actors among captures get their placement as numbers."""
+        """Returns the table of an entry to save. Objects that were inserted among captures get their placement."""
         beside = any(other.kind == "splats" for other in self.entries)
         return explicit_table(entry) if beside else dict(entry.table)
 
@@ -425,7 +426,7 @@ class SceneDocument:
 
 _MESHES = (".obj", ".stl")
 _INSERTED_KINDS = ("meshes", "actors")
-"""Kinds of entries that are inserted into captures if they have no placement."""
+"""Kinds of entries that `lumisplat.insert` puts beside the captures of a scene if their table states no position."""
 
 _UP_KEYS = ("look_at", "upright", "ground")
 """Placement keys whose meaning depends on the up direction."""
@@ -435,12 +436,12 @@ _UPRIGHT = 1e-4
 
 @dataclass(slots=True)
 class _Listing:
-    """Tables of a scene before its entries are read."""
+    """Tables of a scene file and of further opened files, from which the entries of a document are read."""
 
     file: Path
     """The scene file, which need not exist. Paths in tables are relative to its folder."""
     top: dict[str, Any] = field(default_factory=dict[str, Any])
-    """Tables of the scene file that are not entries."""
+    """Tables of the scene file other than entries: ``up``, ``render``, ``animation``, ``materials`` and ``cameras``."""
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
 
 
@@ -480,7 +481,7 @@ def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _
 
 
 def _reader_of(listing: _Listing, load: Callable[[Path], Gaussians | Mesh | Scene]) -> EntryReader:
-    """Creates the reader for the tables of a listing. Also writes the scene's up direction to the listing."""
+    """Creates the reader for the tables of a listing, and writes the scene's up direction to ``listing.top["up"]``."""
     top = listing.top
     named = {kind: [table for other, table in listing.tables if other == kind] for kind in ("splats", "actors")}
     top["up"] = list(scene_up(TomlTable.of(listing.file, {**named, **top})))
@@ -512,13 +513,16 @@ def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEnt
 def _read_entry(
     reader: EntryReader, number: int, kind: EntryKind, table: Mapping[str, Any], insertion_scene: Scene | None = None
 ) -> SceneEntry:
-    """Reads one entry; see `EntryReader.read`."""
+    """Reads the entry with the id ``number`` by `EntryReader.read`, and reports malformed content as `FormatError`."""
     with parsing(reader.file, "a scene file"):
         return reader.read(number, kind, table, insertion_scene)
 
 
 def _heading_of(file: Path) -> Literal["splats", "meshes"]:
-    """Returns the entry kind of a file from its extension and content; unreadable files are reported when read."""
+    """Returns ``meshes`` if the extension and content of a file are those of a mesh or scene, else ``splats``.
+
+    Unreadable files are reported later, when the entry is read.
+    """
     suffix = file.suffix.lower()
     is_mesh = suffix in _MESHES or (suffix == ".ply" and holds_mesh(file))
     if suffix in (".glb", ".gltf"):
@@ -534,10 +538,10 @@ def _heading_of(file: Path) -> Literal["splats", "meshes"]:
 def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, is_among_captures: bool) -> SceneEntry:
     """Returns an entry for a scene whose up direction changes.
 
-    An upright mesh or actor among captures is rotated about its foot by the smallest rotation from the old to the new
-    up direction, so that it stays on the ground and faces the same way. Captures keep their transform, because up is
-    measured from their ground. Meshes without captures also keep their transform. The placement is then written as
-    numbers, because keys such as ``upright`` would now mean another placement.
+    An upright mesh or actor among captures is rotated about its lowest point by the smallest rotation from the old to
+    the new up direction, so that it stays on the ground and faces the same way. Captures keep their transform, because
+    the up direction is relative to their coordinates. Meshes without captures also keep their transform. The transform
+    is then written as numbers, because keys such as ``upright`` would now mean another rotation.
 
     Args:
         reader: Reader with the new up direction.
@@ -567,7 +571,9 @@ def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, 
 def _rotated_environment(
     reader: EntryReader, entry: SceneEntry, rotation: Doubles, rotation_of_up: Doubles, before: Vector
 ) -> SceneEntry:
-    """Returns an environment that is rotated with the up direction if the top of its image was up.
+    """Rotates an environment from the old to the new up direction if the top of its image points to the old one.
+
+    Otherwise the environment is returned unchanged.
 
     Args:
         reader: Reader with the new up direction.
@@ -590,7 +596,7 @@ def _is_upright(linear: Doubles, up: Vector) -> bool:
 
 
 def _foot(entry: SceneEntry, up: Vector) -> Doubles:
-    """Returns the point on the ground below the centre of an entry, world space, shape (3,)."""
+    """Returns the point below the centre of an entry's box, at the height of its lowest point, in world space."""
     instances = entry.at(0.0)
     splats = [instance for instance in instances if isinstance(instance, SplatInstance)]
     meshes = [instance for instance in instances if isinstance(instance, MeshInstance)]

@@ -20,17 +20,16 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material
 
 NAMED_PLACEMENT_KEYS = ("rotation_degrees", "look_at", "front", "upright", "ground")
-"""Keys that may place an entry, such as ``look_at``. They are removed when position, rotation_wxyz and scale are
-written."""
+"""Placement keys, such as ``look_at``, that are removed when a placement is written as position, rotation and scale."""
 _ROUNDED = {"inner_angle": -1, "outer_angle": 1}
-"""Rounding direction of spot angles for `_degrees`: it keeps the inner angle below the outer one."""
+"""Rounding of spot angles to degrees: inner angle down (-1), outer angle up (1), so that inner <= outer stays true."""
 _STEPS = 3
 """Number of neighbouring floats on each side of an angle in degrees that `_degrees` tries."""
 
 _ROUNDING = 1e-9
-"""Largest relative difference between values that count as equal."""
+"""Relative difference up to which two lengths, angles or coordinates of a camera count as equal."""
 _VARYING = ("eye", "target", "up", "fov_y_degrees", "exposure", "aperture", "focus_distance")
-"""Keys of each camera keyframe, besides ``time``."""
+"""Keys of a camera table that each keyframe of a moving camera has, besides ``time``."""
 
 
 def light_table(light: Light) -> Values:
@@ -189,7 +188,7 @@ def _path_table(path: CameraPath) -> dict[str, Any] | None:
 
 
 def _is_same(table: dict[str, Any], other: dict[str, Any] | None) -> bool:
-    """Returns whether two camera tables describe the same view; their focus and name may differ."""
+    """Returns whether two camera tables show the same image; target distance, focus distance and name may differ."""
     if other is None or table.keys() - {"target", "focus_distance"} != other.keys() - {"target", "focus_distance"}:
         return False
     same = (key for key in table if key not in ("target", "focus_distance", "name", "model"))

@@ -19,7 +19,7 @@ from lumisplat.io.files.source import PathLike, check_expansion, check_memory, o
 from lumisplat.math.arrays import host_array
 
 _UNREADABLE = (ValueError, LookupError, TypeError, ArithmeticError, RuntimeError, EOFError, SyntaxError)
-"""Exceptions that zipfile and NumPy raise for damaged archives, in addition to zipfile's own."""
+"""Exceptions, besides those of zipfile and zlib, that NumPy and zipfile raise for damaged archives."""
 
 
 def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[str, npt.NDArray[Any]]:
@@ -81,7 +81,7 @@ def checked_array(
 
 
 def _array_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: bool) -> int:
-    """Returns the memory in bytes that the array of an archive member takes, computed from the array's header.
+    """Returns how many bytes of memory one array of an archive will take, computed from its header before reading.
 
     Raises:
         ValueError: The member is no array file, is compressed although ``compressed`` is False, holds objects, or has

@@ -22,12 +22,11 @@ except ImportError:  # Windows has no file locks, so temporary files of killed p
     fcntl = None
 
 _STEM_BYTES = 64
-"""Bytes of the final name that a temporary name may repeat. The temporary name is longer, and names may have 255
-bytes."""
+"""Largest number of bytes of the final name's stem in the temporary name, which must fit into 255 bytes in all."""
 _TEMPORARY = re.compile(r"\..*\.[0-9a-f]{12}\.lumisplat(\.[^.]*)?", re.DOTALL)
 
 _tidied: set[Path] = set()
-"""Folders from which this process has already removed temporary files of killed processes."""
+"""Folders that `_remove_leftovers` has already cleaned in this process."""
 
 
 @contextmanager

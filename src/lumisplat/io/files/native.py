@@ -40,7 +40,7 @@ def utf8_path(path: PathLike) -> Generator[str]:
 
 @contextmanager
 def native_write(path: PathLike, text: str) -> Generator[None]:
-    """Turns a library's write error inside the block into the error that Lumisplat raises for other files.
+    """Turns the RuntimeError of a C++ library that cannot write a file into OSError or `FormatError`.
 
     Args:
         path: The file as the user named it.

@@ -25,13 +25,14 @@ from lumisplat.errors import FormatError, LumisplatError, MissingFileError, Scen
 from lumisplat.memory import usable_memory
 
 DECODED_BYTES_FREE = 256 * 2**20
-"""Decoded size in bytes up to which a file is always allowed. `EXPANSION_MAX` limits larger decoded sizes."""
+"""Decoded size in bytes that every file may have, however small it is. `EXPANSION_MAX` limits larger decoded sizes."""
 
 EXPANSION_MAX = 200
 """Ratio of decoded to stored bytes above which a file counts as a decompression bomb. Real captures stay under 30."""
 
 TEXTURE_BYTES_FREE = 2**30
-"""Total decoded size in bytes up to which the textures of one file are always allowed: twenty of 4096 x 4096 pixels.
+"""Total bytes that the decoded textures of one file may always take: twenty of 4096 x 4096 pixels.
+
 `EXPANSION_MAX` limits larger totals."""
 
 PathLike = str | os.PathLike[str]
@@ -43,7 +44,7 @@ STREAMED_SOG = "lod-meta.json"
 BLOCKS = "blocks.json"
 """File that lists the blocks of a capture stored in blocks."""
 _IMAGES = ("transforms.json", "transforms_train.json", "images", "sparse")
-"""File and folder names that mark a folder of training images."""
+"""Names of files and folders in a folder of training images, by which an error tells it from a capture."""
 _INNER_LISTED = 8
 """Largest number of captures in a folder that a message lists."""
 
@@ -205,7 +206,7 @@ def parsing(path: PathLike, kind: str) -> Generator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Returns the cause of an error, after a colon, if it helps the owner of the file; otherwise an empty string."""
+    """Returns ": " and the cause of a parsing error in words for the file's owner; empty for errors of other types."""
     match error:
         case UnicodeDecodeError():
             return ": contains bytes that are not text"
@@ -327,7 +328,9 @@ def may_leave_folder() -> bool:
 
 
 def leaves_folder(path: PathLike, file: Path, folder: Path | None = None) -> bool:
-    """Returns whether a file lies outside of a folder and `references_outside` does not allow that.
+    """Returns whether a reference must be refused: its file is outside of a folder, and outside files are not allowed.
+
+    `references_outside` allows them.
 
     Args:
         path: The file that contains the reference.
@@ -408,7 +411,7 @@ def format_of(path: Path) -> str:
 
 
 def _inner_sog(folder: Path) -> str:
-    """Lists the relative paths of the first few SOG captures below a folder, and how many more there are."""
+    """Lists for a message the SOG captures in a folder and its direct subfolders: at most eight, and how many more."""
     inner = sorted(str(meta.relative_to(folder)) for meta in (*folder.glob("*/meta.json"), *folder.glob("*.sog")))
     more = f" and {len(inner) - _INNER_LISTED} more" if len(inner) > _INNER_LISTED else ""
     return ", ".join(inner[:_INNER_LISTED]) + more
@@ -419,5 +422,5 @@ _RENAMED_KEYS = {"shadow_only": "shadow_catcher"}
 
 
 def with_current_keys(values: dict[str, Any]) -> dict[str, Any]:
-    """Returns values read from a file, with keys that have a former name renamed to the current name."""
+    """Returns values read from a file, with outdated key names replaced: ``shadow_only`` becomes ``shadow_catcher``."""
     return {_RENAMED_KEYS.get(key, key): value for key, value in values.items()}

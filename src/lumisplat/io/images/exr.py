@@ -25,9 +25,9 @@ class ExrPart:
 
     name: str
     channels: Mapping[str, Channel]
-    """Pixels of each channel, as for `write_exr`."""
+    """Pixels by channel name, such as ``R`` or ``depth.Z``, all of one shape (H, W)."""
     metadata: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Header attributes."""
+    """String attributes of the part's header, by name."""
 
 
 def write_exr(
@@ -143,7 +143,10 @@ def write_deep_exr(path: PathLike, size: tuple[int, int], first: Rows, channels:
 
 
 def _lists(values: FloatArray, size: tuple[int, int], first: Rows) -> npt.NDArray[Any]:
-    """Splits the values of a channel into one array for each pixel, as the OpenEXR library expects."""
+    """Splits the values of a deep channel by pixel: an array of arrays, shape (H, W), as the OpenEXR library expects.
+
+    ``first`` has the index of each pixel's first value, as in `write_deep_exr`.
+    """
     held = np.ascontiguousarray(values, dtype=np.float32)
     lists = np.empty(size[0] * size[1], dtype=object)
     for pixel, (begin, end) in enumerate(zip(first[:-1].tolist(), first[1:].tolist(), strict=True)):

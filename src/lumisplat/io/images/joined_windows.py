@@ -23,7 +23,7 @@ from lumisplat.io.images.exr import read_exr
 _MAGIC = 20000630
 _VERSION, _LONG_NAMES = 2, 0x400
 _SHORT_NAME = 31
-"""Longest channel name, in bytes, that OpenEXR allows without the flag for long names."""
+"""Largest length of a channel name in bytes for which OpenEXR needs no flag for long names."""
 _BLOCK_ROWS = 16
 """Number of image rows that OpenEXR's ZIP method compresses together."""
 _ZIP = 3
@@ -94,7 +94,7 @@ class ExrRows:
 
 
 def _predicted(content: bytes) -> bytes:
-    """Applies OpenEXR's ZIP predictor: the bytes at even, then at odd offsets, each minus the byte before it."""
+    """Applies OpenEXR's ZIP predictor: bytes at even, then at odd offsets, each replaced by its difference + 128."""
     stored = np.frombuffer(content, np.uint8)
     parted = np.concatenate([stored[::2], stored[1::2]])
     parted[1:] = np.diff(parted) + np.uint8(128)
@@ -122,7 +122,7 @@ def _header(width: int, height: int, kinds: Mapping[str, str]) -> bytes:
 
 
 def _channel(name: str, kind: str) -> bytes:
-    """Encodes a channel for the header's list: its name, type, linearity and sampling."""
+    """Encodes a channel for the OpenEXR header's channel list; ``kind`` is ``f`` (float32) or ``u`` (uint32)."""
     return name.encode() + b"\0" + struct.pack("<iiii", _KINDS[kind][0], 0, 1, 1)
 
 
@@ -211,7 +211,11 @@ def join_windows(path: PathLike, windows: Mapping[Window, PathLike]) -> None:
 
 
 def _in_rows(windows: Mapping[Window, PathLike]) -> list[list[Window]]:
-    """Groups windows by row, each from left to right, and checks that they tile the image."""
+    """Groups windows by row, each row from left to right.
+
+    Raises:
+        SceneError: The windows leave gaps or overlap, so that they do not tile an image.
+    """
     if not windows:
         raise SceneError("there is no window to join")
     rows = [
@@ -240,7 +244,16 @@ def _join_png(path: PathLike, rows: list[dict[Window, PathLike]], size: tuple[in
 
 
 def _png_pixels(path: PathLike, window: Window, channels: int | None) -> npt.NDArray[np.uint8]:
-    """Reads the pixels of a window's PNG, shape (H, W, 3 or 4)."""
+    """Reads the pixels of a window's PNG, shape (H, W, 3) for RGB or (H, W, 4) for RGBA.
+
+    Args:
+        path: The file.
+        window: Window that the file shows, with its expected size.
+        channels: Number of channels of the other windows; None for the first window.
+
+    Raises:
+        FormatError: The file is damaged, or differs in size or channels.
+    """
     from PIL import Image
 
     try:
@@ -273,7 +286,16 @@ def _join_exr(path: PathLike, rows: list[dict[Window, PathLike]], size: tuple[in
 
 
 def _exr_channels(path: PathLike, window: Window, kinds: Mapping[str, str] | None) -> dict[str, npt.NDArray[Any]]:
-    """Reads the channels of a window's EXR."""
+    """Reads the channels of a window's EXR by name, shape (H, W) each.
+
+    Args:
+        path: The file.
+        window: Window that the file shows, with its expected size.
+        kinds: ``f`` or ``u`` by channel name as in the other windows; None for the first window.
+
+    Raises:
+        FormatError: The file is damaged, or differs in size or channels.
+    """
     channels = read_exr(path)
     shapes = {image.shape for image in channels.values()}
     if shapes != {(window[3], window[2])}:

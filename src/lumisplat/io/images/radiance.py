@@ -38,7 +38,7 @@ LINEAR = (".exr", ".hdr", ".pic")
 
 
 _NOTICEABLE = 1e-3
-"""Fraction of an image's light that negative values may take away unnoticed, such as the ringing of a filter."""
+"""Fraction of an image's total that its negative values may sum up to without a log line; filters ring that much."""
 
 
 def read_radiance(path: PathLike) -> FloatArray:
@@ -82,7 +82,7 @@ def _exr_colors(path: PathLike) -> FloatArray:
 def _without_invalid(path: PathLike, image: FloatArray) -> FloatArray:
     """Replaces negative and non-finite values by 0, and logs their number. Returns a read-only image.
 
-    Negative values that sum up to less than `_NOTICEABLE` of the image are not logged.
+    Negative values are not logged if their sum is at most `_NOTICEABLE` of the image's sum.
     """
     not_finite = ~np.isfinite(image)
     with np.errstate(invalid="ignore"):
@@ -178,7 +178,7 @@ class _RunError(Exception):
 
 
 def _read_row(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], int]:
-    """Decodes the row that begins at byte ``at``. Returns the row's RGBE bytes and the start of the next row."""
+    """Decodes the row that begins at byte ``at``. Returns its RGBE bytes and the byte offset of the next row."""
     encoded = data[at] == 2 == data[at + 1] and (data[at + 2] << 8 | data[at + 3]) == width
     if encoded and width in _ENCODED_WIDTHS:
         return _read_channels(data, at + 4, width)

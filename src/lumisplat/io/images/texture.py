@@ -95,7 +95,7 @@ def decode_texture(
 def check_undamaged(path: PathLike) -> None:
     """Raises an error for a truncated image file, and for a PNG that is damaged anywhere.
 
-    A PNG is checked by its checksums, and a JPEG by its end marker. Images of other formats are decoded.
+    A PNG is checked by its checksums, and a JPEG only by its end marker. Images of other formats are decoded.
 
     Raises:
         FormatError: The image cannot be decoded to its end.

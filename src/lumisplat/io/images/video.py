@@ -69,9 +69,9 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
 
 
 def _durations_ms(count: int, fps: float, unit: int) -> list[int]:
-    """Returns the duration of each of ``count`` frames in milliseconds, a multiple of ``unit``.
+    """Returns the duration in milliseconds of each of ``count`` frames, a multiple of ``unit`` milliseconds.
 
-    The end of every frame differs from its exact time by at most half a unit.
+    Durations are rounded such that each frame ends at most half a unit before or after its exact time.
     """
     ends = np.floor(np.arange(count + 1) * 1000.0 / (fps * unit) + 0.5).astype(int)
     return [int(length) * unit for length in np.diff(ends)]

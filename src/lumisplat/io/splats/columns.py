@@ -38,7 +38,7 @@ _log = logging.getLogger("lumisplat")
 Floats = npt.NDArray[np.floating]
 
 FIELDS = ("normals", "albedo", "roughness", "metallic")
-"""Fields of a capture that trainers store in columns of their own: normals and materials."""
+"""Fields of `Gaussians` whose PLY columns differ from trainer to trainer: normals and materials."""
 
 LINEAR_COMMENT = "lumisplat materials linear"
 """Lumisplat's PLY header comment: albedo is linear Rec.709, and all materials are within 0..1."""
@@ -65,7 +65,7 @@ class MaterialColumns:
     stored directly."""
 
     def activated(self, name: str, stored: Floats) -> Floats:
-        """Decodes the stored values of a field. A value that is not finite stays not finite."""
+        """Decodes stored values of the field ``name``, by a sigmoid if the trainer uses one. NaN stays NaN."""
         if name not in self.sigmoids:
             return stored
         factor, offset = self.sigmoids[name]
@@ -74,7 +74,10 @@ class MaterialColumns:
         return np.where(np.isfinite(stored), values, np.nan).astype(np.float32)
 
     def stored(self, name: str, values: Floats) -> Floats:
-        """Encodes the values of a field, clamped to what the encoding can store; float32 for sigmoid-encoded fields."""
+        """Encodes values of the field ``name``, the inverse of `activated`, clamped to what the encoding can store.
+
+        Sigmoid-encoded fields become float32 logits.
+        """
         if name not in self.sigmoids:
             return values
         factor, offset = self.sigmoids[name]
@@ -145,7 +148,7 @@ def material_columns_of(names: tuple[str, ...], comments: tuple[str, ...]) -> Ma
 
 @dataclass(slots=True, eq=False)
 class SplatColumns:
-    """N Gaussians as a file stores them, not yet validated."""
+    """Columns of a splat file with N Gaussians, encoded as in the file and not yet validated."""
 
     means: Floats
     """Positions, shape (N, 3)."""
@@ -163,19 +166,20 @@ class SplatColumns:
     roughness: Floats | None = None
     metallic: Floats | None = None
     incident: Floats | None = None
-    """J SH coefficients of incident light per Gaussian, DC first, shape (N, J, 3)."""
+    """J SH coefficients of incident light per Gaussian, DC first, shape (N, J, 3); None if the file has none."""
     material_columns: MaterialColumns = LINEAR
-    """Encoding of normals and materials."""
+    """Names and encodings of the columns from which normals and materials were read, which depend on the trainer."""
     scales_are_logarithms: bool = True
     opacities_are_logits: bool = True
     antialiased: bool = False
     kernel_degree: int = KERNEL_DEGREE
     comments: tuple[str, ...] = ()
     orientation: Orientation = UNSTATED
-    """Up direction and first view, in the axes of the means."""
+    """Up direction and first view that the file states, in the same axes as ``means``."""
     origin: Vector = (0.0, 0.0, 0.0)
-    """Origin of the means, as in `Gaussians`, without the origin that ``comments`` states; `gaussians_from_columns`
-    sums both."""
+    """Origin that was subtracted from ``means`` when they were read, scene units.
+
+    An origin that the PLY comments state is not included; `gaussians_from_columns` adds it."""
 
     @property
     def count(self) -> int:
@@ -183,7 +187,7 @@ class SplatColumns:
         return self.means.shape[0]
 
     def property_names(self, field: str) -> Sequence[str]:
-        """Returns the PLY properties of a field, one for each of its columns."""
+        """Returns the names of the PLY properties that store ``field``, such as x, y and z for ``means``."""
         if field == "sh":
             return sh_names("f", self.sh.shape[1])
         if field == "incident":
@@ -206,24 +210,23 @@ OPTIONAL = (*FIELDS, "incident")
 """Fields that only some captures have: `FIELDS` and incident light."""
 
 _STEPS = 4
-"""Number of float32 neighbours on each side of a logarithm or logit that are tried, to find one that decodes exactly.
+"""Number of adjacent float32 numbers above and below an encoded value that are tried to find one that decodes exactly.
 """
 
 _ACTIVATED_MIN = 32
-"""Smallest number of Gaussians from which the encoding of scales and opacities is inferred."""
+"""Fewest Gaussians from which to infer whether scales are logarithms and opacities logits; fewer: both are."""
 
 LOGITS_COMMENT = "lumisplat logits"
-"""Lumisplat's PLY header comment: scales are logarithms and opacities logits, even if their values suggest otherwise.
-"""
+"""Lumisplat's PLY comment: scales are logarithms and opacities logits, even if their values look like the opposite."""
 
 _PROBLEMS_LISTED = 6
 """Largest number of properties with invalid values that an error lists, before "and more"."""
 
 
 def sh_names(prefix: str, coefficients: int) -> list[str]:
-    """Returns the PLY properties of the SH of N Gaussians, in the order of ``sh.reshape(N, -1)``.
+    """Returns the PLY names of SH coefficients, coefficient by coefficient: ``f_dc_0`` to ``f_dc_2``, then ``f_rest``.
 
-    Files order the ``rest`` coefficients by channel, unlike ``sh``.
+    This is the order of ``sh.reshape(N, -1)`` for N Gaussians. PLY files number ``f_rest`` channel by channel instead.
 
     Args:
         prefix: ``f`` for colours, ``incidents`` for incident light.
@@ -235,7 +238,7 @@ def sh_names(prefix: str, coefficients: int) -> list[str]:
 
 
 def joined_columns(parts: Sequence[SplatColumns]) -> SplatColumns:
-    """Concatenates captures of one encoding, without materials. SH of lower degree are padded with zeros.
+    """Concatenates captures with equal encodings, without materials. SH of lower degree are padded with zeros.
 
     Args:
         parts: The captures, at least one.
@@ -274,7 +277,10 @@ def stored_activated(columns: SplatColumns, scale_columns: int = 3) -> tuple[boo
 
 
 def _cannot_be_logarithms(scales: Floats, means: Floats) -> bool:
-    """Returns whether positive values must be scales, because as logarithms they would not fit the capture's extent."""
+    """Returns whether stored positive scales must be scales: as logarithms they would not fit the capture's extent.
+
+    If they were logarithms, nearly all Gaussians would have one size, or be ten times larger than the capture.
+    """
     small, median, large = (float(size) for size in np.quantile(scales, (0.05, 0.5, 0.95)))
     low, high = np.quantile(means, (0.05, 0.95), axis=0)
     extent = 0.5 * float(np.linalg.norm(high - low))
@@ -284,18 +290,22 @@ def _cannot_be_logarithms(scales: Floats, means: Floats) -> bool:
 
 
 def look_like_logits(opacities: Floats, *, with_logarithms: bool) -> bool:
-    """Returns whether stored opacities look like logits: at least a tenth of them lies outside 0..1.
+    """Returns whether stored opacities must be logits, because at least a tenth of them lies outside 0..1.
 
     Args:
         opacities: The stored values.
-        with_logarithms: Whether the scales are logarithms. If not, at least one value must be negative.
+        with_logarithms: Whether the scales are stored as logarithms. If not, logits also need a negative value among
+            ``opacities``.
     """
     outside = np.count_nonzero((opacities < 0.0) | (opacities > 1.0))
     return int(10 * outside) >= max(len(opacities), 1) and (with_logarithms or bool((opacities < 0.0).any()))
 
 
 def recognise_activated(path: PathLike, columns: SplatColumns, scale_columns: int = 3) -> None:
-    """Sets the encoding of scales and opacities that `stored_activated` infers, and logs an unusual encoding."""
+    """Sets ``scales_are_logarithms`` and ``opacities_are_logits`` as `stored_activated` infers.
+
+    Logs a line if scales are not logarithms, or opacities not logits.
+    """
     scales, opacities = stored_activated(columns, scale_columns)
     columns.scales_are_logarithms, columns.opacities_are_logits = not scales, not opacities
     found = ["opacities of 0..1, not logits"] * opacities + ["positive scales, not logarithms"] * scales
@@ -358,7 +368,10 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
 def _rows_to_keep(
     path: PathLike, columns: SplatColumns, scales: Floats, drop_invalid: bool
 ) -> slice | npt.NDArray[np.bool_]:
-    """Selects all Gaussians if all are valid, else the valid ones if ``drop_invalid``, else raises `FormatError`."""
+    """Selects the Gaussians to keep: all if all are valid, else the valid ones, or raises `FormatError`.
+
+    It raises if ``drop_invalid`` is False or no Gaussian is valid. ``scales`` are standard deviations.
+    """
     invalid, problems = _invalid_rows(columns, scales)
     if not problems:
         return slice(None)
@@ -474,7 +487,13 @@ def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Calla
 
 
 def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None:
-    """Logs which of the capture's normals, materials and incident light are lost in this format, and a lost origin."""
+    """Logs that a file format cannot store the capture's normals, materials, incident light or origin.
+
+    Args:
+        path: The file.
+        kind: Name of the format, for the message.
+        gaussians: The capture.
+    """
     lost = [name for name in OPTIONAL if getattr(gaussians, name) is not None]
     if lost:
         _log.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))
@@ -489,7 +508,13 @@ def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None
 
 
 def warn_losses(path: PathLike, kind: str, gaussians: Gaussians) -> None:
-    """Logs what a format without header comments loses: materials, normals, origin and kernel degree of the capture."""
+    """Logs what a format without comments cannot store: the capture's materials, normals, origin and kernel degree.
+
+    Args:
+        path: The file.
+        kind: Name of the format, for the message.
+        gaussians: The capture.
+    """
     warn_lost_materials(path, kind, gaussians)
     if gaussians.kernel_degree != KERNEL_DEGREE:
         _log.warning(
@@ -501,7 +526,7 @@ def warn_losses(path: PathLike, kind: str, gaussians: Gaussians) -> None:
 
 
 def mirror_axes(columns: SplatColumns, signs: tuple[int, int, int]) -> SplatColumns:
-    """Multiplies the coordinate axes of Gaussians by ``signs``.
+    """Mirrors Gaussians about the origin: multiplies their x, y and z coordinates by ``signs``.
 
     With S = diag(signs), a rotation R becomes S R S. Its quaternion is (w, sy sz x, sx sz y, sx sy z), because a
     rotation axis is a pseudovector.

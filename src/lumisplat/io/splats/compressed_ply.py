@@ -104,7 +104,7 @@ def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str])
 
 
 def _unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
-    """Splits N 32-bit words into bit fields, highest bits first, each scaled to 0..1, shape (N, fields)."""
+    """Splits N 32-bit words into fields of ``bits`` bits each, highest first, scaled to 0..1, shape (N, fields)."""
     values = np.empty((len(packed), len(bits)), dtype=np.float32)
     shift = 32
     for i, width in enumerate(bits):
@@ -140,9 +140,9 @@ def _scale_to_chunks(unit: Floats, chunk: PlyRows, names: tuple[str, ...]) -> Fl
 
 
 def _with_higher_degrees(header: PlyHeader, dc: Floats) -> Floats:
-    """Returns K SH coefficients of each of N Gaussians, shape (N, K, 3).
+    """Returns the K SH coefficients per channel of N Gaussians, shape (N, K, 3).
 
-    The coefficients are the DC term ``dc`` and, if the file has an ``sh`` element, those of higher degrees.
+    Degree 0 is ``dc``, shape (N, 3). Higher degrees come from the file's ``sh`` element, if it has one.
     """
     element = header.element("sh")
     if element is None:
@@ -203,9 +203,10 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
-    """Logs how many Gaussians are in chunks whose quantised positions are coarse because of a distant outlier.
+    """Logs how many Gaussians have coarse positions because an outlier widens the range of their chunk.
 
-    The positions of a chunk are coarse if their step is larger than the median of its Gaussians' largest scales.
+    Positions of a chunk are coarse if their quantisation step exceeds the median size of its Gaussians (their largest
+    scales).
     """
     starts = np.arange(0, ordered.count, _CHUNK)
     means = ordered.means

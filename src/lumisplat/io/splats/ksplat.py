@@ -62,15 +62,15 @@ _SECTION = struct.Struct("<4x3If4xI4x2IH")
 _BUCKET_BYTES = 12
 
 _COMPONENTS = (0, 9, 24)
-"""Number of SH values above DC, over all three channels, by SH degree."""
+"""Number of SH values above degree 0 in a row, all three channels together, for SH degree 0, 1 and 2."""
 _SCALE_RANGE = (1, 32767, 32767)
-"""Default number of quantisation steps from the centre of a bucket to its side, by compression level."""
+"""Quantisation steps from a bucket's centre to its side, for compression levels 0, 1 and 2, if the header has 0."""
 _HALF_RANGE = 1.5
-"""Magnitude of the smallest and largest SH coefficient if the header states 0; for compression level 2."""
+"""Largest magnitude of SH coefficients at compression level 2 if the header states no limits: -1.5 to 1.5."""
 
 
 class _File(NamedTuple):
-    """A file, and the values of its header that apply to all sections."""
+    """Contents of a ``.ksplat`` file, with the values of its header that apply to all sections."""
 
     path: PathLike
     data: bytes
@@ -87,7 +87,7 @@ class _Section(NamedTuple):
     """Number of Gaussians in a full bucket."""
     bucket_count: int
     block_size: float
-    """Edge length of a bucket, a cube, in scene units."""
+    """Edge length of the cube that a bucket covers, scene units."""
     scale_range: int
     full_count: int
     """Number of full buckets."""

@@ -123,7 +123,7 @@ def orientation_of_comments(path: PathLike, comments: tuple[str, ...]) -> Orient
 
 
 def without_orientation(comments: tuple[str, ...]) -> tuple[str, ...]:
-    """Removes Lumisplat's comments of up direction and first view, which the fields of a capture hold instead."""
+    """Removes PLY comments that state Lumisplat's up direction or first view; `Gaussians` has fields for both."""
     return tuple(line for line in comments if not (_UP.fullmatch(line) or _FIRST_VIEW.fullmatch(line)))
 
 
@@ -148,7 +148,7 @@ def origin_text(origin: Vector) -> str:
 
 
 def comments_with_orientation(gaussians: Gaussians, comments: tuple[str, ...]) -> tuple[str, ...]:
-    """Adds comments of the capture's origin, up direction and first view.
+    """Returns PLY comments that state the capture's origin, up direction and first view, and no others of these.
 
     Comments of other programs that state another up direction are removed.
     """

@@ -60,11 +60,10 @@ LUMISPLAT_KEY = "lumisplat"
 """Key in meta.json of Lumisplat's own metadata: up direction and first view."""
 
 _PALETTE_COLUMNS = 64
-"""SH palette entries in a row of the centroids image; an entry has one pixel for each coefficient."""
+"""Number of SH palette entries side by side in the image of SH centroids; each entry has one pixel per coefficient."""
 
 _QUATERNION_TAG = 252
-"""Offset of the alpha of a rotation pixel: alpha minus the offset is the index of the quaternion's largest component.
-"""
+"""Alpha of a rotation pixel whose largest quaternion component is w; 253, 254 and 255 stand for x, y and z."""
 
 _DECODER_THREADS = 4
 Contents = dict[str, bytes]
@@ -114,9 +113,9 @@ def encode(values: Floats, codebook: npt.NDArray[np.float32]) -> npt.NDArray[np.
 
 
 class _PrefixSums:
-    """Prefix sums of ascending numbers, which give the mean and the squared error of any run of them in constant time.
+    """Prefix sums of sorted numbers and of their squares, which give mean and squared error of a run in constant time.
 
-    A run is the numbers from one index to another.
+    A run is a range of consecutive indices of the sorted numbers.
     """
 
     def __init__(self, ordered: Doubles) -> None:
@@ -126,11 +125,16 @@ class _PrefixSums:
         self._squares = np.concatenate([[0.0], np.cumsum(centered * centered)])
 
     def means(self, borders: npt.NDArray[np.intp]) -> Doubles:
-        """Returns the mean of each run; runs lie between consecutive indices in ``borders``."""
+        """Returns the mean of each run of sorted numbers; run i has the indices ``borders[i]..borders[i + 1] - 1``."""
         return np.diff(self._sum[borders]) / np.diff(borders) + self._center
 
     def best_cut(self, start: int, end: int) -> tuple[float, int]:
-        """Finds where to split a run to lower its squared error most. Returns the reduction and the index."""
+        """Returns by how much the best split of a run lowers the sum of squared deviations, and the index to split at.
+
+        Args:
+            start: Index of the run's first number.
+            end: Index after its last number.
+        """
         if end - start < 2:
             return 0.0, start
         cuts = np.arange(start + 1, end)
@@ -141,12 +145,16 @@ class _PrefixSums:
         return float(gains[best]), start + 1 + best
 
     def least_gain(self) -> float:
-        """Returns the reduction of the squared error up to which it may be only a rounding error."""
+        """Returns the smallest reduction of the squared error that is not rounding: 1e-12 of the sum of squares."""
         return 1e-12 * float(self._squares[-1])
 
 
 def _split_runs(sums: _PrefixSums, count: int) -> npt.NDArray[np.intp]:
-    """Splits ``count`` ascending numbers greedily into at most 256 runs. Returns the borders, from 0 to ``count``."""
+    """Splits ``count`` sorted numbers greedily into at most 256 runs of similar numbers, for a codebook.
+
+    Returns:
+        The indices at which runs begin, from 0, and ``count`` at the end.
+    """
 
     def entry(start: int, end: int) -> tuple[float, int, int, int]:
         gain, cut = sums.best_cut(start, end)
@@ -227,7 +235,7 @@ def _plain_name(path: PathLike, name: str) -> str:
 
 
 def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]:
-    """Decodes images to RGBA pixels, shape (height, width, 4), by name, in several threads."""
+    """Decodes the WebP images of a capture to RGBA, shape (height, width, 4), by file name, in several threads."""
 
     def decoded(name: str) -> Bytes:
         with _decoding(path, name):
@@ -291,7 +299,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
 
 
 def _values(stored: Bytes, field: Meta) -> Floats:
-    """Decodes bytes to numbers by the codebook, or in version 1 the range, that a meta.json entry states."""
+    """Decodes bytes by the codebook in their meta.json entry ``field``, or in version 1 linearly to its value range."""
     if "codebook" not in field:
         return _scale_to_range(stored / np.float32(255.0), field)
     codebook = np.array(field["codebook"], dtype=np.float32)
@@ -301,7 +309,7 @@ def _values(stored: Bytes, field: Meta) -> Floats:
 
 
 def _scale_to_range(unit: Floats, field: Meta) -> Floats:
-    """Scales values from 0..1 to the range that a meta.json entry states."""
+    """Scales values from 0..1 to the range ``mins`` to ``maxs`` of their meta.json entry ``field``."""
     low, high = (np.asarray(field[name], dtype=np.float32) for name in ("mins", "maxs"))
     return low + unit * (high - low)
 
@@ -429,11 +437,11 @@ def sog_contents(gaussians: Gaussians) -> Contents:
 
 
 def coarse_steps(gaussians: Gaussians) -> Floats:
-    """Returns the position steps of those Gaussians that are smaller than their step, in scene units.
+    """Returns the quantisation step of each Gaussian's position, for those Gaussians that are smaller than their step.
 
-    The step of a coordinate x is the step of its logarithm times the derivative 1 + abs(x). The step of the logarithm
-    is 1 / 65535 of the range of all logarithms, or the spacing of float32 at the logarithm (engines decode in single
-    precision), whichever is larger.
+    Steps are in scene units. The step of a coordinate x is the step of its logarithm times the derivative 1 + abs(x).
+    The step of the logarithm is 1 / 65535 of the range of all logarithms, or the spacing of float32 at the logarithm
+    (engines decode in single precision), whichever is larger.
     """
     means = gaussians.means.astype(np.float64)
     logs = np.log1p(np.abs(means))
@@ -444,7 +452,7 @@ def coarse_steps(gaussians: Gaussians) -> Floats:
 
 
 def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
-    """Logs that some Gaussians are smaller than the step of their quantised positions; nothing if ``count`` is 0.
+    """Logs that some Gaussians are smaller than the quantisation step of their positions; nothing if ``count`` is 0.
 
     Args:
         path: The file.
@@ -462,7 +470,10 @@ def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
 
 
 def _mean_images(means: Floats, add: Callable[[str, Bytes], str]) -> dict[str, Any]:
-    """Encodes positions as two images, of low and high bytes. Returns the entry of the positions in meta.json."""
+    """Encodes positions as 16-bit logarithms in two images, of low and high bytes; returns their meta.json entry.
+
+    ``add`` stores an image by its name without extension, and returns the file name.
+    """
     logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
     low, high = logs.min(axis=0), logs.max(axis=0)
     size = np.where(high > low, high - low, 1.0)
@@ -479,12 +490,15 @@ def _rotation_image(wxyz: Floats) -> Bytes:
 
 
 def palette_size(count: int) -> int:
-    """Returns the number of SH palette entries for ``count`` Gaussians, a power of two as in PlayCanvas's tools."""
+    """Returns the number of SH palette entries for ``count`` Gaussians: the power of two below it, at most 65,536."""
     return min(_PALETTE_ENTRIES_MAX, 2 ** int(math.log2(max(count, 1))))
 
 
 def _palette(gaussians: Gaussians, add: Callable[..., str]) -> dict[str, Any]:
-    """Encodes SH above degree 0 as two images, palette and labels. Returns the entry of the SH in meta.json."""
+    """Encodes SH above degree 0 as palette entries and labels, an image each; returns their meta.json entry.
+
+    ``add`` stores an image by its name without extension, and returns the file name.
+    """
     # Imported here because no other file format needs kernels.
     from lumisplat.palette import fit_palette
 

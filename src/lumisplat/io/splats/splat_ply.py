@@ -60,16 +60,16 @@ _KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
 """Lumisplat's header comment for the kernel degree; no trainer writes the degree to its files."""
 
 _COLOR_OF_DC = {"f_dc_0": "red", "f_dc_1": "green", "f_dc_2": "blue"}
-"""Colour property that is read in place of each DC coefficient if the file lacks DC coefficients."""
+"""Colour property from which each DC coefficient is computed in files that have colours but no DC coefficients."""
 
 _CACHED_ROWS = 4096
-"""Number of rows that are separated into columns at once, few enough to stay in the CPU cache."""
+"""Rows that are copied to the columns of `SplatColumns` at once: few enough to stay in the CPU cache."""
 
 _ANTIALIASED = re.compile(r"\s*(?:antialiased\s+(?P<postshot>[01])|SplatRenderMode:\s*(?P<brush>\w+))\s*", re.I)
 _KERNEL_DEGREE = re.compile(r"\s*lumisplat\s+kernel_degree\s+(-?\d{1,9})\s*", re.I)
 
 _COEFFICIENTS = (SH_DEGREE_MAX + 1) ** 2
-"""Number of SH coefficients per channel in R3DG files; R3DG's programs refuse any other number."""
+"""SH coefficients per channel, 16, that every R3DG file must have; R3DG's programs refuse any other number."""
 
 
 def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
@@ -82,15 +82,15 @@ def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
 
 
 def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
-    """Returns the kernel degree of the last comment that states one, not range-checked; 2 if there is none."""
+    """Returns the kernel degree that the last such header comment states, not range-checked; 2 without a comment."""
     degrees = [int(match[1]) for match in map(_KERNEL_DEGREE.fullmatch, comments) if match]
     return degrees[-1] if degrees else KERNEL_DEGREE
 
 
 def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
-    """Returns the capture's comments, updated to state its antialiasing, kernel degree, up direction and first view.
+    """Returns the capture's PLY comments, changed to state its antialiasing, kernel degree, up, first view and origin.
 
-    Comments that state another value are removed. A default value gets no comment.
+    Comments that contradict the capture are removed. A setting with its default value gets no comment.
     """
     comments = gaussians.comments
     if antialiased_from_comments(comments) != gaussians.antialiased:
@@ -105,7 +105,11 @@ def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
 
 
 def _comments_as_stored(gaussians: Gaussians, columns: SplatColumns) -> tuple[str, ...]:
-    """Returns the comments to write; `LOGITS_COMMENT` is added if readers would otherwise infer the wrong encoding."""
+    """Returns the PLY comments to write for a capture.
+
+    `LOGITS_COMMENT` is among them if readers would otherwise take logarithms of scales or logits of opacities for the
+    values themselves.
+    """
     unsure = any(stored_activated(columns))
     return (*comments_with_settings(gaussians), *([LOGITS_COMMENT] if unsure else []))
 
@@ -170,7 +174,7 @@ def columns_of_rows(
         vertex: Element from `splat_element`.
         coefficients: SH coefficients per channel, from `splat_element`.
         rows: The rows.
-        activated: Whether scales, and whether opacities, are stored directly, from `stored_activated`.
+        activated: Two flags from `stored_activated`: scales are no logarithms, and opacities are no logits.
     """
     columns = _allocate(replace(header, comments=()), replace(vertex, count=len(rows), properties=()), coefficients)
     columns.antialiased = antialiased_from_comments(header.comments)
@@ -185,7 +189,7 @@ def columns_of_rows(
 
 
 def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
-    """Copies PLY rows into ``columns``, beginning at row ``start`` of the columns."""
+    """Copies PLY rows into ``columns``, from row ``start`` on; missing DC coefficients come from RGB colours."""
     assert rows.dtype.names is not None
     with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become infinite and are refused later
         for name, target in _column_views(columns):
@@ -202,7 +206,10 @@ def _unit(color: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 
 
 def _about_origin(path: PathLike, columns: SplatColumns) -> None:
-    """Makes means relative to an origin near them if float32 is too coarse for the means, and logs the origin."""
+    """Subtracts an origin from float64 means if float32 would round them too coarsely, and logs the origin.
+
+    The means become float32. Means that the file stores as float32 are unchanged.
+    """
     if columns.means.dtype == np.float32:
         return
     with np.errstate(all="ignore"):
@@ -235,7 +242,7 @@ def _flatten_2d(columns: SplatColumns, vertex: PlyElement) -> None:
 
 
 def _check_properties(path: PathLike, vertex: PlyElement) -> int:
-    """Checks that all required properties are present. Returns the number of SH coefficients per channel."""
+    """Returns the SH coefficients per channel; raises `FormatError` if a capture's required property is missing."""
     rest = sum(name.startswith("f_rest_") for name in vertex.names)
     degree = {3 * ((n + 1) ** 2 - 1): n for n in range(8)}.get(rest)
     if degree is None:
@@ -251,7 +258,14 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
 
 
 def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident: bool = False) -> SplatColumns:
-    """Allocates uninitialised columns of the right shapes."""
+    """Allocates the columns for all Gaussians of a file, uninitialised, with those materials that the file stores.
+
+    Args:
+        header: Header of the file.
+        vertex: Element with the Gaussians.
+        coefficients: SH coefficients per channel.
+        incident: Whether to allocate incident light, if the file has any.
+    """
 
     def empty(*shape: int) -> FloatArray:
         return np.empty((vertex.count, *shape), dtype=np.float32)
@@ -286,7 +300,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
 
 
 def _column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
-    """Returns the name of every PLY property in ``columns`` with a view of its N values, shape (N,)."""
+    """Returns for each PLY property of ``columns`` its name and a writable view of its N values, shape (N,)."""
     targets: list[tuple[str, Floats]] = []
     for field in (*_REQUIRED, "sh", *OPTIONAL):
         values = getattr(columns, field)
@@ -296,7 +310,7 @@ def _column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
 
 
 def _warn_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
-    """Logs which materials are not read because the file lacks one of their columns."""
+    """Logs each material field that is not read because the file has only some of its columns."""
     for field, names in columns.material_columns.properties.items():
         missing = [name for name in names if name not in vertex.names]
         if 0 < len(missing) < len(names):
@@ -304,7 +318,7 @@ def _warn_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: S
 
 
 def _drop_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
-    """Drops materials whose encoding is unknown, and logs the reason.
+    """Removes materials that an unknown trainer may have stored as logits instead of 0..1, and logs the reason.
 
     Several trainers use Lumisplat's property names for values before their activation. In a file without
     `LINEAR_COMMENT`, materials are accepted only if all properties are ones that Lumisplat writes, and all material
@@ -354,13 +368,16 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _inria_names(coefficients: int) -> list[str]:
-    """Returns the property names of INRIA's files, in order."""
+    """Returns the property names of INRIA's PLY files in order: position, normal, SH, opacity, scales, rotation."""
     names = ["x", "y", "z", "nx", "ny", "nz", *_sh_names_in_file_order("f", coefficients), "opacity"]
     return [*names, *PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
 
 
 def _sh_names_in_file_order(prefix: str, coefficients: int, channels: int = 3) -> list[str]:
-    """Returns the property names of `sh_names` in the order in which files have them."""
+    """Returns the SH property names in the order of PLY files: ``PREFIX_dc_0..2``, then ``PREFIX_rest_0`` upwards.
+
+    Files list the rest channel by channel. ``coefficients`` counts the SH of one channel, DC included.
+    """
     rest = [f"{prefix}_rest_{i}" for i in range(channels * (coefficients - 1))]
     return [*(f"{prefix}_dc_{channel}" for channel in range(channels)), *rest]
 
@@ -433,12 +450,12 @@ def write_r3dg_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _padded(sh: Floats) -> Floats:
-    """Pads SH coefficients with zeros to the degree of R3DG files."""
+    """Pads SH coefficients with zeros to 16 per channel, the number in R3DG files."""
     return np.pad(sh, ((0, 0), (0, _COEFFICIENTS - sh.shape[1]), (0, 0)))
 
 
 def _warn_if_outside(path: PathLike, name: str, values: Floats) -> None:
-    """Logs how many values are outside the range that R3DG's columns can represent."""
+    """Logs how many values of the field ``name`` are clamped because R3DG's columns cannot store them."""
     low, high = R3DG.limits(name)
     beyond = np.maximum(low - values, values - high)
     count = np.count_nonzero(beyond > 0.0)

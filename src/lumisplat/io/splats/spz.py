@@ -63,7 +63,8 @@ _EXTENSION_BYTES_MAX = 2**16
 _GZIP_WINDOW = 16 + zlib.MAX_WBITS
 
 _HEADER_V4 = struct.Struct("<IIIBBBBI12x")
-"""Header of version 4: the fields that all versions have, number of streams, and offset of the table of contents."""
+"""Layout of the version 4 header: the fields of all versions, number of streams, and byte offset of their size table.
+"""
 
 _ZSTD_LEVEL = 12
 """Compression level of the zstd streams; see docs/adr/0064-spz-4-by-numpy-and-zstandard.md."""
@@ -87,7 +88,7 @@ Letters mean right or left, up or down, back or front. Numbers 9 to 16 exchange 
 
 @dataclass(frozen=True, slots=True)
 class SpzHeader:
-    """Header fields that all versions have."""
+    """Fields of the SPZ header that versions 1 to 4 have."""
 
     version: int
     count: int
@@ -103,7 +104,7 @@ class SpzHeader:
 
     @property
     def section_sizes(self) -> tuple[int, int, int, int, int, int]:
-        """Sizes of positions, alphas, colours, scales, rotations and SH, bytes."""
+        """Decompressed sizes in bytes of the six sections: positions, alphas, colours, scales, rotations and SH."""
         n = self.count
         position, rotation = (6 if self.version == 1 else 9), (4 if self.version >= 3 else 3)
         return position * n, n, 3 * n, 3 * n, rotation * n, 3 * (self.sh_coefficients - 1) * n
@@ -318,7 +319,7 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
 
 
 def _unpacked(path: PathLike, name: str, stream: bytes, size: int) -> npt.NDArray[np.uint8]:
-    """Decompresses a zstd stream that must hold exactly ``size`` bytes, and never decompresses more bytes than that."""
+    """Decompresses the zstd stream of the section ``name``, which must give exactly ``size`` bytes and never more."""
     try:
         stated = zstandard.frame_content_size(stream)
         if stated not in (size, _SIZE_UNKNOWN):
@@ -338,7 +339,7 @@ def _rdf_signs(axes: str) -> tuple[int, int, int]:
 
 
 def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yields the kind and contents of each extension record; the last one may be truncated."""
+    """Yields the extension number and the contents of each extension record; the last record may be truncated."""
     start = 0
     while start + 8 <= len(extensions):
         kind, size = struct.unpack_from("<II", extensions, start)
@@ -347,7 +348,10 @@ def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _stored_axes(path: PathLike, records: dict[int, bytes]) -> str:
-    """Returns the axes that an extension record states; without such a record, ``"RUB"`` (right, up, back)."""
+    """Returns the axes of the file as letters, such as ``"RUB"`` (right, up, back), which is also the default.
+
+    ``records`` has the contents of extension records by extension number.
+    """
     stored = records.get(_EXTENSION_COORDINATES, b"")
     if len(stored) != 4:
         return "RUB"
@@ -358,7 +362,10 @@ def _stored_axes(path: PathLike, records: dict[int, bytes]) -> str:
 
 
 def _stored_orientation(path: PathLike, records: dict[int, bytes]) -> Orientation:
-    """Returns up direction and first view from Lumisplat's extension record."""
+    """Returns the up direction and first view in Lumisplat's extension record; both None without such a record.
+
+    ``records`` has the contents of extension records by extension number.
+    """
     return orientation_of_text(path, records.get(_EXTENSION_ORIENTATION, b"{}"))
 
 

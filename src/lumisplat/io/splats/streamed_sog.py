@@ -58,7 +58,7 @@ _LEVELS_MAX = 64
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """A range of rows in a SOG capture."""
+    """Rows of one leaf in a SOG capture: index of the capture, first row, and number of rows."""
 
     file: int
     offset: int
@@ -66,7 +66,7 @@ class _Rows:
 
 
 Leaf = dict[int, _Rows]
-"""A leaf of the tree: its range of rows at each level of detail."""
+"""A leaf of the tree: for each level of detail, 0 the finest, the rows that store its Gaussians."""
 
 
 def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None = None) -> SplatColumns:
@@ -110,7 +110,7 @@ def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None
 
 
 def _leaves(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yields the levels of each leaf, in the order of the file."""
+    """Yields the ``lods`` object of each leaf of the tree in ``lod-meta.json``, in the order of the file."""
     waiting = [tree]
     while waiting:
         node = waiting.pop()
@@ -179,7 +179,7 @@ def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumn
 
 @dataclass(slots=True)
 class _OpenCapture:
-    """A SOG capture in memory to which the rows of leaves are appended."""
+    """Gaussians of one level that wait to be written as one SOG capture, and the name of its folder."""
 
     name: str
     parts: list[Gaussians] = field(default_factory=list[Gaussians])
@@ -187,9 +187,9 @@ class _OpenCapture:
 
 
 class _OpenCaptures:
-    """The SOG captures that are being filled, one for each level of detail.
+    """The SOG captures that a writer is filling with leaves, one for each level of detail.
 
-    A full capture is written to disk, and its files are appended to ``written``.
+    A capture with `SOG_CHUNK_COUNT` Gaussians is written to disk, and its files are appended to ``written``.
     """
 
     def __init__(self, folder: Path, levels: int, written: list[Path]) -> None:
@@ -199,12 +199,17 @@ class _OpenCaptures:
         self.names: list[str] = []
         """Paths of all captures, in the order of their indices in the tree."""
         self.counts = [0] * levels
-        """Number of Gaussians of each level."""
+        """Number of Gaussians added so far to each level of detail."""
         self.coarse: tuple[int, float] = (0, 0.0)
-        """Arguments ``count`` and ``step`` of `warn_coarse_positions` for the finest level so far."""
+        """Number of Gaussians of the finest level that are smaller than their position step, and the largest such
+        step."""
 
     def add(self, level: int, part: Gaussians) -> dict[str, int]:
-        """Appends the Gaussians of a leaf at a level. Returns file, offset and count of their rows, for the tree."""
+        """Appends the Gaussians ``part`` of a leaf to the open capture of a level of detail.
+
+        Returns:
+            ``file``, ``offset`` and ``count`` of the rows, as ``lod-meta.json`` stores them.
+        """
         capture = self._open[level]
         name = f"{capture.name}/meta.json"
         if not capture.parts:
@@ -297,14 +302,14 @@ def _node(captures: _OpenCaptures, gaussians: Gaussians, levels: int) -> dict[st
 
 
 def _lower_half(values: FloatArray) -> Flags:
-    """Returns a mask of the numbers below the median; it selects at least one number, and never all."""
+    """Returns a mask of the numbers below the median, or up to it if none is below; at least one number is left out."""
     median = np.median(values)
     below = values < median
     return below if below.any() else values <= median
 
 
 def _levels(gaussians: Gaussians, levels: int) -> Iterator[Gaussians]:
-    """Yields the Gaussians of a leaf at each level, at least one per level."""
+    """Yields the Gaussians of a leaf at each level of detail, halved from level to level, at least one per level."""
     yield gaussians
     for _ in range(levels - 1):
         gaussians = decimate(gaussians, max(1, gaussians.count // 2))
@@ -312,7 +317,7 @@ def _levels(gaussians: Gaussians, levels: int) -> Iterator[Gaussians]:
 
 
 def _extent(gaussians: Gaussians) -> tuple[Doubles, Doubles]:
-    """Returns the AABB of the one-sigma ellipsoids, which PlayCanvas's engine uses to choose levels."""
+    """Returns the corners of the box around the one-sigma ellipsoids, from which PlayCanvas's engine chooses levels."""
     axes = np.abs(matrices_from_quaternions(gaussians.rotations_wxyz))
     reach = np.einsum("nij,nj->ni", axes, gaussians.scales)
     return (gaussians.means - reach).min(axis=0), (gaussians.means + reach).max(axis=0)

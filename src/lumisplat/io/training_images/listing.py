@@ -215,9 +215,9 @@ class Masks:
 
 
 def _mask_key(name: Path) -> str:
-    """Returns the file name of the image that a mask file is named after, in lower case.
+    """Returns the name of the image that a mask is for, in lower case: ``a/1`` for ``a/1_mask.png`` and ``a/1.png``.
 
-    The image's extension is included only if the mask's name includes it.
+    For ``a/1.jpg.png`` it is ``a/1.jpg``, with the image's extension.
     """
     stem = name.with_suffix("")
     for ending in _MASK_ENDINGS:
@@ -254,7 +254,7 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, expected: st
 
 
 def some_names(names: Sequence[str]) -> str:
-    """Joins the first few names for a message, with "..." if there are more."""
+    """Joins the first three names for a message, with "..." if there are more."""
     # File names may contain bytes that are not valid text and could not be printed.
     printable = (" ".join(name.split()).encode(errors="replace").decode() for name in names[:_NAMES_LISTED])
     return ", ".join(printable) + (", ..." if len(names) > _NAMES_LISTED else "")
@@ -262,7 +262,7 @@ def some_names(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Splits:
-    """Train and evaluation splits of a ``transforms.json``: sets of ``file_path``, each None if the file lacks it."""
+    """Train and evaluation splits of a ``transforms.json``: sets of ``file_path``; None if not in the file."""
 
     training: frozenset[str] | None
     held_out: frozenset[str] | None
@@ -283,13 +283,15 @@ class Splits:
     ) -> tuple[list[ListedImage], list[ListedImage] | None]:
         """Divides frames into training frames and held-out frames.
 
+        A file that defines only one of the two sets puts all other frames into the other one.
+
         Args:
             path: The file, named in errors.
             listed: All frames of the file.
             holds_out: Whether to return held-out frames; False returns an empty list for them.
 
         Returns:
-            Training frames and held-out frames. The second is None if the file has no splits.
+            Training frames and held-out frames. The second is None if the file defines neither set.
 
         Raises:
             FormatError: No training frame is left.

@@ -48,7 +48,7 @@ HOLD_OUT = 8
 """Default of ``hold_out``: every 8th image is held out for evaluation, as in Mip-NeRF 360 and later work."""
 
 SAME_POSITION = 1e-3
-"""Distance of two cameras, as a fraction of the camera extent, below which their parallax is negligible."""
+"""Distance below which two cameras count as at one position, as a fraction of the cameras' extent."""
 
 SAME_ROTATION = 1e-3
 """Angle between the rotations of two cameras, radians, below which they count as equally rotated.
@@ -84,7 +84,10 @@ def count_poses(cameras: Sequence[Camera]) -> int:
 
 
 def _distinct(cameras: Sequence[Camera], *, with_rotation: bool) -> list[int]:
-    """Returns the indices of cameras that differ from all earlier cameras in position or, if requested, in rotation."""
+    """Returns the indices of cameras whose pose no earlier camera has, within `SAME_POSITION` and `SAME_ROTATION`.
+
+    If ``with_rotation`` is False, only positions are compared.
+    """
     eyes = np.stack([camera.eye for camera in cameras])
     rotations = np.stack([camera.camera_from_world[:3, :3] for camera in cameras])
     near = SAME_POSITION * max(camera_extent(cameras), COINCIDENT_EXTENT / SAME_POSITION * float(np.abs(eyes).max()))
@@ -144,7 +147,7 @@ class TrainingImage:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the camera, the lens and the bytes of the image and mask files, computed without decoding."""
+        """SHA-256 of camera, lens, background and the bytes of the image and mask files, without decoding them."""
         digest = hashlib.sha256(f"{self.name} {self.background}".encode())
         try:
             for file in (self.path, self._source.mask):
@@ -184,7 +187,7 @@ class TrainingImages:
     """Sparse points in world space, shape (N, 3), from COLMAP or nerfstudio's ``ply_file_path``; None if there are
     none."""
     point_colors: FloatArray | None
-    """Display-referred sRGB of the points, 0..1, shape (N, 3)."""
+    """Display-referred sRGB of the points, 0..1, shape (N, 3); None if there are no points."""
     extent: float
     """1.1 times the largest distance of a training camera from the mean camera position, scene units; 0 if all cameras
     are at one position."""
@@ -196,7 +199,7 @@ class TrainingImages:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the training images and the points.
+        """SHA-256 of all training images with their cameras and masks, and of the points, but not of held-out images.
 
         Raises:
             FormatError: A file no longer exists.
@@ -219,7 +222,7 @@ def _unit_range(plane: Plane) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _FolderContents:
-    """Lists of images, and points, that were found in a folder."""
+    """What a folder of training images lists: images to train with, held-out images and a point cloud."""
 
     file: Path
     """The file, or the folder of the COLMAP model, that lists the images."""
@@ -231,7 +234,7 @@ class _FolderContents:
 
 @dataclass(frozen=True, slots=True)
 class _ImageSettings:
-    """Settings that apply to all images of a set."""
+    """Arguments of `load_training_images` that apply to every image: scale, background and straightening."""
 
     scale: float
     background: Color | None
@@ -321,7 +324,12 @@ def load_training_images(
 
 
 def _find(folder: Path, with_held_out: bool) -> _FolderContents:
-    """Detects the layout of a folder, as listed in `load_training_images`, and reads its lists of images."""
+    """Detects the layout of a folder, as listed in `load_training_images`, and reads its lists of images.
+
+    Args:
+        folder: The folder.
+        with_held_out: Whether to list held-out images, too.
+    """
     if not folder.exists():
         raise MissingFileError(folder, "no such folder")
     if not folder.is_dir():
@@ -391,7 +399,14 @@ def find_model(folder: Path) -> Path | None:
 def _views(
     file: Path, settings: _ImageSettings, cache: _PixelCache, listed: Sequence[ListedImage]
 ) -> list[TrainingImage]:
-    """Builds the training images of a file, in the order of their paths, at the scaled size."""
+    """Builds the training images of ``listed``, in the order of their paths, downscaled as the settings say.
+
+    Args:
+        file: The file that lists them, for messages.
+        settings: Settings of all images.
+        cache: Cache for the decoded pixels.
+        listed: The images; each is checked against its camera and mask.
+    """
     for entry in listed:
         _check(file, entry)
     ordered = sorted(listed, key=lambda entry: entry.image)

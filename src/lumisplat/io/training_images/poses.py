@@ -69,7 +69,7 @@ LOWE_RATIO = 0.8
 """Ratio test: largest quotient of the angles to the nearest and second nearest descriptor (Lowe 2004, section 7.1)."""
 
 MODEL_IMAGES_MIN = 3
-"""Fewest images of a model. With two images, nothing distinguishes right poses from wrong ones."""
+"""Fewest images of a COLMAP model that counts. With two images, nothing distinguishes right poses from wrong ones."""
 
 POINTS_PER_IMAGE_MIN = 50
 """Mean number of points per image below which poses are likely wrong. COLMAP itself requires 30 in each image."""
@@ -80,7 +80,7 @@ REPROJECTION_ERROR_MAX = 1.5
 Errors of 0.4 to 1 are usual, and COLMAP removes points with errors above 4."""
 
 WITHOUT_POSE_MAX = 0.25
-"""Fraction of images without a pose above which a log line advises to record the video again."""
+"""Fraction of images for which COLMAP found no pose above which a log line advises to record the video again."""
 
 USUAL_FOV_DEGREES = 15.0, 130.0
 """Smallest and largest usual field of view of phones and cameras along the longer image side, degrees."""
@@ -88,7 +88,7 @@ USUAL_FOV_DEGREES = 15.0, 130.0
 _log = logging.getLogger("lumisplat")
 
 Pairs = list[tuple[int, int]]
-"""Pairs of image indices, the smaller index first, sorted, without duplicates."""
+"""Pairs of images to match, as indices with the smaller one first; sorted, without duplicates."""
 
 _BATCH = 4
 """Number of images between two progress reports of feature extraction."""
@@ -198,7 +198,7 @@ class ColmapRun:
 
     @property
     def _links(self) -> list[str]:
-        """Names of symbolic links to the images, without spaces, which separate names in COLMAP's pair lists."""
+        """Names of symbolic links to the images, such as ``000000.jpg``: COLMAP's pair lists allow no spaces."""
         return [f"{index:06d}{Path(name).suffix}" for index, name in enumerate(self.names)]
 
     def prepare(self) -> None:
@@ -253,7 +253,11 @@ class ColmapRun:
         self.report("extracting features", 1.0)
 
     def match(self, ordered: bool) -> None:
-        """Matches the features of the pairs that `compared_pairs` selects."""
+        """Matches the features of image pairs, which `compared_pairs` selects.
+
+        Args:
+            ordered: Whether the images are consecutive video frames.
+        """
         pairs = compared_pairs(
             len(self.names), self._largest_features, ordered, lambda share: self.report("selecting pairs", share)
         )
@@ -350,16 +354,18 @@ class PoseReport:
     with_pose: Sequence[str]
     """Names of the images with a pose, sorted."""
     model_sizes: Sequence[int]
-    """Number of images of the chosen model, then of every other model with at least `MODEL_IMAGES_MIN` images that the
-    chosen model lacks; only these images count.
+    """Number of images in the chosen model, then in each other model, not counting images of the chosen one.
+
+    Other models with fewer than `MODEL_IMAGES_MIN` such images are left out.
     """
     points: int
     points_per_image: float
     """Mean number of points that an image with a pose observes."""
     error: float
-    """Mean reprojection error, pixels of the images as downscaled for feature extraction."""
+    """Mean reprojection error, in pixels of an image whose longer side has at most `COMPARED_PIXELS`."""
     fov_degrees: float
-    """Field of view along the longer image side, degrees; if there are several cameras, the least usual field of view.
+    """Field of view along the longer image side, degrees. If there are several cameras, the one farthest from the
+    usual.
     """
 
     @classmethod

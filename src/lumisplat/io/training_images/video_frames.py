@@ -33,9 +33,9 @@ _ROTATIONS = (None, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180, Image
 """Pillow operations by the number of 90 degree rotations to the left."""
 
 _STILL_SIZE = 16
-"""Longer image side, in pixels, at which motion is detected; downscaling averages noise away."""
+"""Longer side, in pixels, to which frames are reduced before motion is detected; averaging removes noise."""
 _STILL_DIFFERENCE = 0.5
-"""Mean difference of the grey values, 0..255, of two frames below which the camera counts as still."""
+"""Mean difference from the first frame, in grey values 0..255, that a video must reach once to count as moving."""
 _BLACK_LEVEL = 16
 """Largest grey value, 0..255, of a black frame: 16, the black of video, plus noise."""
 
@@ -143,7 +143,7 @@ class _FrameCheck:
         self._moved = 0.0
 
     def add(self, image: Image.Image) -> None:
-        """Updates the check with the next extracted frame."""
+        """Compares the next extracted frame with the first one, and updates the largest motion and brightness."""
         small = image.convert("L")
         small.thumbnail((_STILL_SIZE, _STILL_SIZE), Image.Resampling.BOX)
         grey = np.asarray(small, np.float32)
