@@ -91,7 +91,7 @@ class EnvironmentOptions(LightOptions):
         if self.capture_gain != "auto":
             return config
         gain = ls.avatars.estimate_capture_gain(scene, device=renderer.device)
-        _log.info("captured light is brightened by %g stops (--capture-gain %g)", gain, gain)
+        _log.warning("captured light is brightened by %g stops (--capture-gain %g)", gain, gain)
         config = replace(config, capture_gain=gain)
         renderer.reconfigure(config)
         return config
