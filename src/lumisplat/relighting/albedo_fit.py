@@ -22,42 +22,43 @@ from lumisplat.relighting.irradiance import (
 from lumisplat.scene.ops.neighbours import Pairs
 
 CELL_REACH = 1.3
-"""Largest angle between the centres of environment cells that count as neighbours, relative to the sum of two radii:
-of discs that have the cells' solid angles."""
+"""Two environment cells are neighbours if their centres are nearer than this times the sum of their radii, each the
+radius of a disc of the cell's solid angle."""
 
 RANDOM_PAIR_SHARE = 0.25
-"""Number of pairs of random Gaussians per pair of neighbours. Surfaces of similar chromaticity often have one albedo,
-and neighbours more often."""
+"""Number of random pairs of Gaussians per pair of neighbours in the albedo fit: surfaces of similar chromaticity often
+have one albedo, and neighbours more often."""
 
 CHROMA_WIDTH = 0.03
 """Standard deviation of the difference of chromaticity, natural logarithm, between Gaussians with equal albedo."""
 
 EDGE_WIDTHS = (0.2, 0.1)
-"""Widths of the Cauchy weight of albedo differences, natural logarithm, in the first and in the last solve. Pairs with
-larger differences are likely edges of textures."""
+"""Widths, in natural logarithms of albedo, of the Cauchy weight on the albedo difference of a pair, in the first and
+in the second solve. Pairs with larger differences are likely edges of textures."""
 
 RANDOM_PAIRS_MIN = 1000
-"""Smallest number of pairs of random Gaussians."""
+"""Smallest number of random pairs of Gaussians in the albedo fit."""
 
 LIGHT_STEPS = 25
-"""Maximum number of Gauss-Newton steps."""
+"""Maximum number of Gauss-Newton steps for the light's radiances."""
 
 LIGHT_STEP_MAX = 0.7
-"""Largest change of a radiance in one step, natural logarithm."""
+"""Largest change of the natural logarithm of a radiance in one Gauss-Newton step; longer steps are shortened."""
 
 LIGHT_CONVERGED = 1e-3
 """Largest change of any radiance, natural logarithm, at which the Gauss-Newton steps end."""
 
 ENVIRONMENT_SMOOTHNESS = 3e-3
-"""Weight of squared differences between neighbouring environment cells, relative to one pair of Gaussians."""
+"""Weight of squared differences between the log radiances of neighbouring environment cells, relative to all pairs of
+Gaussians together."""
 
 LIGHT_PRIOR = 3e-4
-"""Weight of the squared distance between a radiance and its initial value, relative to one pair of Gaussians."""
+"""Weight of the squared log ratio of a radiance to its initial value, relative to all pairs of Gaussians together."""
 
 IRRADIANCE_WEIGHT_MAX = 3.0
-"""Irradiance of a Gaussian from emitters, in medians, above which the Gaussian's weight no longer grows, because the
-irradiance's error grows too. A lampshade thus counts at most like nine pieces of wall. In trained rooms, 2 to 4 % of
-the Gaussians receive more."""
+"""Irradiance from emitters, relative to the median Gaussian's, above which a Gaussian's weight stops growing, because
+the irradiance's error grows too. A lampshade thus counts at most like nine pieces of wall. In trained rooms, 2 to 4 %
+of the Gaussians receive more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +91,7 @@ class EnvironmentCells:
 
     @property
     def neighbours(self) -> Rows:
-        """The S pairs of adjacent cells, shape (S, 2)."""
+        """Indices of the S pairs of adjacent cells, the smaller index first, shape (S, 2)."""
         radii = np.sqrt(self.solid_angles / np.pi)
         angles = np.arccos(np.clip(self.directions @ self.directions.T, -1.0, 1.0))
         first, second = np.nonzero(np.triu(angles < CELL_REACH * (radii[:, None] + radii), 1))
@@ -101,7 +102,7 @@ class EnvironmentCells:
         return EnvironmentCells(self.corners[rows], self.sides[rows])
 
     def joined(self, others: EnvironmentCells) -> EnvironmentCells:
-        """Returns these cells followed by others."""
+        """Returns the cells of this object followed by those of ``others``."""
         return EnvironmentCells(
             np.concatenate([self.corners, others.corners]), np.concatenate([self.sides, others.sides])
         )
@@ -115,7 +116,7 @@ class EnvironmentCells:
         )
 
     def directions_within(self, cell: int, count: int, rng: np.random.Generator) -> Doubles:
-        """Samples unit directions uniformly in the solid angle of one cell, shape (count, 3)."""
+        """Samples ``count`` unit directions uniformly within the solid angle of cell number ``cell``, (count, 3)."""
         return directions_of_square(self.corners[cell] + self.sides[cell] * rng.random((count, 2)))
 
 
@@ -139,23 +140,23 @@ class AlbedoPairFit:
     """
 
     outgoing: Doubles
-    """Outgoing radiance of the Gaussians, shape (N, 3)."""
+    """Linear radiance that each Gaussian reflects, in units of display white, shape (N, 3)."""
     incident: Irradiance
-    """Irradiance of the Gaussians, separately by source of light."""
+    """Irradiance over pi of the Gaussians from the capture, each environment cell and each emitter."""
     pairs: Rows
-    """The P pairs of Gaussians that are compared, shape (P, 2)."""
+    """Indices of the P pairs of Gaussians whose albedos are compared, shape (P, 2)."""
     cells: EnvironmentCells
-    """Cells of the environment."""
+    """The K environment cells whose radiances are fitted."""
 
     def solved(self, start: Light) -> Light:
-        """Returns the fitted light; pairs with different albedos get ever lower weights as the light improves."""
+        """Fits the radiances from ``start``, once for each of `EDGE_WIDTHS`, so that edges of textures lose weight."""
         light = start
         for width in EDGE_WIDTHS:
             light = self._improved(light, width)
         return light
 
     def _improved(self, start: Light, width: float) -> Light:
-        """Takes Gauss-Newton steps with one width of the edge weights (`EDGE_WIDTHS`), and returns the light."""
+        """Takes up to `LIGHT_STEPS` Gauss-Newton steps with Cauchy weights of one width (`EDGE_WIDTHS`)."""
         first = np.concatenate([start.environment, start.emitters])
         radiances, prior = first.copy(), self._prior()
         rows, pairs = np.unique(self.pairs, return_inverse=True)  # few of the Gaussians are in pairs
@@ -184,19 +185,19 @@ class AlbedoPairFit:
         return Light(radiances[: len(self.cells)], radiances[len(self.cells) :])
 
     def _weights(self, differences: Doubles, width: float) -> Doubles:
-        """Returns the weight of each of P pairs and channels, shape (P, 3).
+        """Returns the weight of each of P pairs per channel: chromaticity similarity times Cauchy weight, (P, 3).
 
         Args:
-            differences: Differences of the logarithms of the pairs' albedos, shape (P, 3).
-            width: Width of the Cauchy weight.
+            differences: Differences of the natural logarithms of the pairs' albedos, shape (P, 3).
+            width: Width of the Cauchy weight, natural logarithm of albedo.
         """
         alike = chroma_similarity(differences, CHROMA_WIDTH) / len(differences)
         return alike / (1.0 + (differences / width) ** 2)
 
     def _prior(self) -> Doubles:
-        """Returns the quadratic form of the prior, shape (K + L, K + L) for K cells and L emitters.
+        """Returns the prior's quadratic form on log radiances of K cells and L emitters, shape (K + L, K + L).
 
-        The prior prefers an environment that is smooth and close to its initial value.
+        It prefers equal radiances of neighbouring cells, and radiances near their initial values.
         """
         emitters, share = self.incident.emitters.shape[1], self.cells.solid_angles / (4.0 * np.pi)
         form = LIGHT_PRIOR * np.diag(np.concatenate([share, np.full(emitters, 1.0 / max(emitters, 1))]))
@@ -210,7 +211,7 @@ class AlbedoPairFit:
 
 
 def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
-    """Returns a grey, constant light under which the lightest surfaces have a typical albedo.
+    """Returns one grey radiance for all cells and emitters, under which the lightest surfaces have an albedo of 0.8.
 
     With emitters, Gaussians are weighted by the squared irradiance from the emitters, because the relative error of the
     radiance is that of the irradiance. Without the weights, Gaussians that haze hides from an emitter make it many
@@ -226,14 +227,14 @@ def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
 
 
 def with_typical_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:
-    """Scales all radiances of a light by one factor, so that the lightest surfaces have a typical albedo."""
+    """Scales all radiances of a light by one factor that gives the lightest surfaces an albedo of 0.8."""
     irradiance = incident.total(light.environment, light.emitters) - incident.observed
     factor = typical_albedo_factor(outgoing, incident.observed, irradiance, np.ones(len(irradiance)))
     return Light(factor * light.environment, factor * light.emitters)
 
 
 def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> Rows:
-    """Chooses P pairs of Gaussians to compare: at most ``count`` of neighbours, and some random ones, shape (P, 2).
+    """Chooses P pairs of Gaussians whose albedos are compared: neighbours, then random ones, shape (P, 2).
 
     Args:
         near: Pairs of neighbours, in both orders.

@@ -42,14 +42,13 @@ HIT_ALPHA_MIN = 0.5
 """Smallest alpha at which a ray counts as hitting the capture."""
 
 HAZE_AT_ONCE_MAX = 0.6
-"""Median over rays of the fraction of alpha near the ray's depth: below this value there is no surface. It is 0.9 to 1
-in captures of others and in baked ones, 0.39 to 0.99 in captures trained for some minutes, 0 to 0.56 in balls of haze
+"""A capture of isotropic Gaussians has no surface if `SurfaceMeasure.at_once` is below this. It is 0.9 to 1 in
+captures of others and in baked ones, 0.39 to 0.99 in captures trained for some minutes, and 0 to 0.56 in balls of haze
 (docs/adr/0079-delighting-refuses-captures-without-surfaces.md)."""
 
 SURFACE_SHARP = 0.8
-"""Median over rays of the fraction of alpha near the ray's depth: below this value a capture has no clear surface. It
-is 0.90 to 1 in captures of others, in Gaussians of meshes and in a fox trained with flatness, 0.66 to 0.70 in foxes
-trained without."""
+"""A capture has no clear surface if `SurfaceMeasure.at_once` is below this. It is 0.90 to 1 in captures of others, in
+Gaussians of meshes and in a fox trained with flatness, and 0.66 to 0.70 in foxes trained without."""
 
 AGREEING_LEAST = 0.35
 """Mean squared cosine between normals of neighbours below which the normals count as random. It is 0.333 to 0.340 in
@@ -65,13 +64,14 @@ class SurfaceMeasure:
     """Measures of how well the Gaussians of a capture form a surface."""
 
     at_once: float
-    """Fraction of a ray's alpha that comes from Gaussians near the ray's depth, 0..1: the median over rays from
-    outside."""
+    """Fraction of a ray's alpha, 0..1, that comes from within a short distance of the ray's depth: median over rays
+    from outside. At a sharp surface it is 1, in haze near 0."""
     isotropic_share: float
-    """Fraction of the Gaussians, by area, without a normal because their two shorter axes are about equal, 0..1."""
+    """Fraction of the Gaussians' area, 0..1, whose two shorter axes are about equal, so that they have no normal; 0 if
+    the capture stores normals."""
     agreement: float
-    """Mean squared cosine between normals of neighbours, 0..1; 1/3 for random normals. It is set to 1 if there are
-    fewer than `AGREEING_COUNT` Gaussians."""
+    """Mean squared cosine between normals of neighbouring Gaussians, 0..1: 1/3 for random normals, 1 on a plane. It is
+    set to 1 if there are fewer than `AGREEING_COUNT` visible Gaussians."""
 
     @property
     def has_no_surface(self) -> bool:
@@ -80,7 +80,7 @@ class SurfaceMeasure:
 
     @property
     def fault(self) -> str | None:
-        """Clause for messages on what is wrong with the surface; None if the surface is good."""
+        """Clause for messages that says why the Gaussians form no clear surface; None if they form one."""
         if self.isotropic_share >= ISOTROPIC_SHARE_MAX:
             return f"{self.isotropic_share:.0%} of its Gaussians, by area, are isotropic and have no normal"
         if self.agreement < AGREEING_LEAST:
@@ -110,7 +110,7 @@ def measure_surface(gaussians: Gaussians, renderer: Renderer, seed: int) -> Surf
 
 
 def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
-    """Returns a sentence with advice if a capture's Gaussians form no surface that can be lit; None if they do.
+    """Returns a warning with advice if a capture's Gaussians form no clear surface to light; None if they do.
 
     The measurement takes less than a second for most captures. Source: docs/method/delighting.md#surfaces.
 
@@ -140,7 +140,10 @@ def no_surface_message(fault: str) -> str:
 
 
 def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, seed: int) -> Doubles:
-    """Returns the fraction of each ray's alpha that comes from near the ray's depth, 0..1; 0 for rays without a hit."""
+    """Returns the fraction of each ray's alpha that comes from near its depth, 0..1; 0 for rays that hit nothing.
+
+    Rays start outside the capture and aim at Gaussians drawn with the probabilities ``weights``, shape (N,).
+    """
     rng, scene = np.random.default_rng([seed, 11]), Scene([gaussians])
     low, high = scene.bulk_bounds()
     extent = float(np.linalg.norm(high - low))
@@ -163,7 +166,7 @@ def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, se
 
 
 def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
-    """Returns the mean squared cosine between normals of sampled Gaussians and those of their neighbours, 0..1."""
+    """Returns the mean squared cosine between normals of random Gaussians, drawn by ``weights``, and of neighbours."""
     rng = np.random.default_rng([seed, 12])
     visible = np.flatnonzero(weights > 0.0)
     if len(visible) < AGREEING_COUNT:
@@ -182,14 +185,14 @@ def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
 
 
 CAPTURE_GAIN_MAX = 6.0
-"""Largest gain that is estimated, stops. Positions that would need a larger gain are too dark for an estimate."""
+"""Upper bound, stops, of the estimated gain of a capture's light on objects."""
 
 AROUND_ALBEDO = 0.5
 """Assumed mean albedo of the surfaces around an object, from which the surfaces' irradiance follows. Rooms have 0.4 to
 0.6 (CIBSE, Lighting Guide 5)."""
 
 GAIN_DIRECTIONS = 1024
-"""Number of rays from an object that measure how much of the sphere around it the capture covers."""
+"""Number of rays from an object that measure the fraction of directions in which it sees the capture."""
 
 
 def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, device: str = "auto") -> float:

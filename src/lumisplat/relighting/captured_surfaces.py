@@ -1,6 +1,6 @@
-"""Voxelises a capture, and measures how well a light explains the shading of its surfaces.
+"""Voxelises a capture, and measures by regression how well a light explains the brightness of its surfaces.
 
-A light *explains* shading if captured surfaces are brighter where its unshadowed irradiance would be larger.
+A light explains shading if captured surfaces are brighter where its unshadowed irradiance would be larger.
 """
 
 from __future__ import annotations
@@ -24,16 +24,15 @@ SURFACE_CELLS = 64
 """Voxels along each side of the cube around a capture: 8 cm in a room of 5 m."""
 
 SURFACE_COVERAGE = 0.3
-"""Smallest sum of area times opacity of a voxel's Gaussians, relative to the area of a voxel face, for the voxel to be
-solid. Haze has less."""
+"""A voxel is solid if its Gaussians' areas times opacity sum to at least this fraction of a voxel face; haze stays
+below."""
 
 SURFACE_FLATNESS = 0.25
-"""Largest ratio of the smallest to the middle variance of positions in a voxel, for the voxel to have a normal;
-foliage exceeds it."""
+"""A voxel has a normal if the smallest variance of its Gaussians' positions is at most this fraction of the middle
+one; in foliage it is more."""
 
 SURFACE_THIN = 0.5
-"""Largest ratio of a Gaussian's smallest to its middle scale, for the Gaussian's shortest axis to be used as its
-normal."""
+"""A Gaussian's shortest axis is used as its normal if its smallest scale is below this fraction of its middle scale."""
 
 SURFACE_DISC = 1.2
 """Radius of the circle over which a Gaussian's area is distributed, in standard deviations: about the root mean square
@@ -41,11 +40,11 @@ distance from its centre.
 """
 
 SURFACE_PER_CELL = 3
-"""Largest number of Gaussians per voxel that are used, so that finely detailed objects do not outweigh the room."""
+"""Largest number of Gaussians sampled per voxel, so that finely detailed objects do not outweigh the room."""
 
 SURFACE_CLIP = 0.98
-"""Quantile at which the luminance of surfaces is clipped, because visible light sources emit and do not reflect the
-light."""
+"""Quantile at which the luminance of sampled surfaces is clipped: light sources among them emit instead of reflecting.
+"""
 
 SURFACE_OFFSET = 1.8
 """Distance from a surface at which shadow rays start, in voxels: more than the diagonal of the voxel that the surface
@@ -55,28 +54,28 @@ SURFACE_STEP = 0.7
 """Step length along shadow rays, voxels."""
 
 SURFACE_BLOCK = 4
-"""Side, in voxels, of blocks within which residuals of surfaces count as correlated, because texture is."""
+"""Side, in voxels, of cubic blocks of surfaces whose regression residuals count as correlated, because texture is."""
 
 SURFACES_MAX = 3000
-"""Maximum number of surface Gaussians; a random subset is used if there are more."""
+"""Maximum number of surface Gaussians in the regression; of more, a random subset is used."""
 
 TRACE_RIDGE = 1e-6
-"""Ridge of the regression, relative to the mean square of its columns. It is needed in a closed room, where the
-environment's columns are 0."""
+"""Ridge of the luminance regression, relative to the mean square of its columns: in a closed room the columns of the
+environment are 0."""
 
 TRACE_FLOOR = 0.25
-"""Residuals are divided by the explained luminance, but at least by this fraction of the median luminance."""
+"""Lower bound, relative to the median luminance, of the modelled luminance by which residuals are divided."""
 
 TRACE_STEPS = 4
-"""Number of steps in which the regression's weights are recomputed from its residuals."""
+"""Number of iterations that recompute the robust weights of the luminance regression from its residuals."""
 
 _DISC = [(0.0, 0.0)] + [(np.cos(angle), np.sin(angle)) for angle in np.arange(8) * (np.pi / 4.0)]
-"""Sample points over which a Gaussian's area is distributed: its centre, and eight on a circle."""
+"""Points on the unit disc at which a Gaussian's area is splatted into voxels: the centre, and eight on the rim."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolidCells:
-    """n x n x n voxels of a cube, of which some block light."""
+    """A cube of n x n x n voxels, with a mask of the solid ones, which block light."""
 
     solid: Flags
     """True for voxels that block light, shape (n, n, n)."""
@@ -116,19 +115,19 @@ class SolidCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapturedSurfaces:
-    """M Gaussians of a capture that lie on surfaces, sampled evenly over the surfaces."""
+    """M Gaussians of a capture sampled evenly over its surfaces, and the voxels that shadow them."""
 
     positions: Doubles
-    """World-space positions, shape (M, 3)."""
+    """World-space means of the M sampled Gaussians, shape (M, 3)."""
     normals: Doubles
-    """Unit normals of arbitrary sign, shape (M, 3)."""
+    """Unit normals of the M sampled surfaces, world space, of arbitrary sign, shape (M, 3)."""
     luminance: Doubles
-    """Linear luminance of each surface, mean over all directions, clipped at the quantile `SURFACE_CLIP`, shape (M,).
-    """
+    """Linear luminance of each surface's SH degree 0, clipped at the quantile `SURFACE_CLIP`, shape (M,)."""
     blocks: Rows
-    """Index of the block of `SURFACE_BLOCK` voxels per side in which each surface lies, shape (M,)."""
+    """Number of the cubic block of `SURFACE_BLOCK` voxels per side that contains each surface, shape (M,); residuals
+    within a block count as correlated."""
     cells: SolidCells
-    """Voxels that cast shadows on the surfaces."""
+    """Voxels of the whole capture, which cast shadows on the sampled surfaces."""
 
     def cosines(self, directions: Doubles, distances: npt.ArrayLike = np.inf) -> Doubles:
         """Returns the cosine between each surface's normal and the light, 0 where the surface is shadowed, shape (M,).
@@ -189,7 +188,7 @@ class _Grid:
         return SURFACE_CELLS, SURFACE_CELLS, SURFACE_CELLS
 
     def keys(self, points: Doubles) -> tuple[Rows, Flags]:
-        """Returns the flat index of each point's voxel, 0 outside the grid, and whether the point is inside."""
+        """Returns the flat voxel index of each point (0 if the point is outside the grid), and whether it is inside."""
         cells = np.floor((points - self.corner) / self.cell).astype(np.int64)
         inside = np.asarray(((cells >= 0) & (cells < SURFACE_CELLS)).all(axis=1))
         cells[~inside] = 0
@@ -197,20 +196,20 @@ class _Grid:
 
 
 class _Discs(NamedTuple):
-    """N Gaussians as discs in world space."""
+    """N Gaussians as flat discs in world space, with the thickness subtracted from the wide axes."""
 
     means: Doubles
-    """Centres, shape (N, 3)."""
+    """World-space means of the Gaussians, shape (N, 3)."""
     first: Doubles
-    """Longest axis times the disc's standard deviation along it, shape (N, 3)."""
+    """Longest axis of each Gaussian times ``sqrt(largest^2 - smallest^2)`` of its world-space scales, shape (N, 3)."""
     second: Doubles
-    """Middle axis times the disc's standard deviation along it, shape (N, 3)."""
+    """Middle axis of each Gaussian times ``sqrt(middle^2 - smallest^2)`` of its world-space scales, shape (N, 3)."""
     normals: Doubles
-    """Unit normals of arbitrary sign, shape (N, 3)."""
+    """Unit shortest axes of the Gaussians, of arbitrary sign, world space, shape (N, 3)."""
     area: Doubles
-    """Area of each disc times opacity, shape (N,)."""
+    """``2 pi`` times opacity and the two larger world-space scales of each Gaussian, square scene units, shape (N,)."""
     luminance: Doubles
-    """Linear luminance, shape (N,)."""
+    """Linear luminance of each Gaussian's colour of SH degree 0, shape (N,)."""
     is_flat: Flags
     """True for Gaussians thin enough to have a normal, shape (N,)."""
 
@@ -220,7 +219,7 @@ class _Discs(NamedTuple):
 
 
 def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: float) -> _Discs:
-    """Returns the Gaussians of an instance within a cube, from ``extent`` below to ``extent`` above ``center``."""
+    """Returns the Gaussians of an instance with means ``world`` inside the cube ``center`` +- ``extent``, as discs."""
     near = np.flatnonzero(np.abs(world - center).max(axis=1) < extent)
     gaussians = instance.gaussians.subset(near)
     order = np.argsort(-gaussians.scales, axis=1, kind="stable")
@@ -243,7 +242,7 @@ def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: flo
 
 
 def _solid_cells(discs: _Discs, grid: _Grid) -> tuple[Flags, Doubles, Flags]:
-    """Returns per voxel whether it is solid, the normal of its Gaussians, shape (n^3, 3), and whether they are flat."""
+    """Returns per voxel: whether it is solid, its plane's normal, shape (n^3, 3), and whether its content is flat."""
     count = SURFACE_CELLS**3
     area, first, second = np.zeros(count), np.zeros((3, count)), np.zeros((3, 3, count))
     for u, v in _DISC:
@@ -267,7 +266,7 @@ def _solid_cells(discs: _Discs, grid: _Grid) -> tuple[Flags, Doubles, Flags]:
 
 
 def _evenly_spread(rows: Rows, cells: Rows) -> Rows:
-    """Returns a random subset of ``rows`` with at most `SURFACE_PER_CELL` per voxel and `SURFACES_MAX` in all."""
+    """Returns a random subset of ``rows``: at most `SURFACE_PER_CELL` per voxel (``cells``), `SURFACES_MAX` in all."""
     shuffled = np.random.default_rng(0).permutation(rows.size)
     order = shuffled[np.argsort(cells[shuffled], kind="stable")]
     starts = np.searchsorted(cells[order], cells[order])
@@ -278,37 +277,36 @@ def _evenly_spread(rows: Rows, cells: Rows) -> Rows:
 
 
 _EVEN_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Products of components of the normal that span all even functions of the normal up to degree 2."""
+"""Pairs of components whose products n_i n_j span all even functions of a normal n up to degree 2."""
 
 
 class Trace(NamedTuple):
-    """Evidence, in the luminance of surfaces, that one more light shines."""
+    """Result of adding one light to the regression of the surfaces' luminance: does the light shine?"""
 
     significance: float
-    """Regression coefficient of the light's irradiance, over its standard error; negative if surfaces are darker in
-    the light."""
+    """Regression coefficient of the light's irradiance over its standard error; negative if lit surfaces are darker."""
     share: float
-    """Fraction that the light explains of the luminance variance that the regression left so far, -1..1; negative if
-    surfaces are darker in the light.
+    """Fraction, -1..1, of the luminance variance left by the other regression columns that the light explains;
+    negative if lit surfaces are darker.
     """
     factor: float
-    """Regression coefficient of the light: luminance per unit of its irradiance."""
+    """Regression coefficient of the light: luminance of surfaces per unit of the light's irradiance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shading:
-    """Regression of the luminance of M surfaces on the irradiance from lights."""
+    """Robust linear regression of M surfaces' luminance on the irradiance from a smooth environment and from lights."""
 
     surfaces: CapturedSurfaces
     design: Doubles
-    """Columns of the regression: functions of the normal, a smooth environment, and lights already found, shape (M,
-    K)."""
+    """Regression matrix, shape (M, K): even functions of the normal, irradiance from each SH of a smooth environment,
+    and irradiance from each light already found."""
     weights: Doubles
-    """Weight of each surface's squared residual, from relative residuals and Huber's loss, shape (M,)."""
+    """Weight of each surface's squared residual, shape (M,): Huber's weight over the squared modelled luminance."""
 
     @classmethod
     def of(cls, surfaces: CapturedSurfaces, directions: Doubles, cosines: Doubles, degree: int = 1) -> Shading:
-        """Starts a regression on a smooth environment of low SH degree, and on functions of the normal.
+        """Starts a regression without lights: on a smooth SH environment and even functions of the normal.
 
         Args:
             surfaces: M surfaces.
@@ -324,15 +322,15 @@ class Shading:
         return cls(surfaces, design, _robust_weights(design, surfaces.luminance))
 
     def with_light(self, irradiance: Doubles) -> Shading:
-        """Returns the regression with a light's ``irradiance``, shape (M,), as a further column."""
+        """Returns the regression with one more column: a light's ``irradiance`` on the M surfaces, shape (M,)."""
         return replace(self, design=np.column_stack([self.design, irradiance]))
 
     def traces(self, irradiances: Doubles, counted: Flags | None = None) -> list[Trace]:
-        """Returns the evidence for each of L candidate lights, as if each were the only further light.
+        """Returns for each of L candidate lights the result of adding only this light to the regression.
 
         Args:
             irradiances: Irradiance of the surfaces from each light in any unit, shape (M, L).
-            counted: Surfaces that count, shape (M,); None: all.
+            counted: True for surfaces that enter the regression, shape (M,); None: all.
         """
         weights = self.weights if counted is None else self.weights * counted
         both = np.column_stack([self.surfaces.luminance, irradiances])
@@ -352,9 +350,10 @@ class Shading:
 
 
 def ground_direction(surfaces: CapturedSurfaces, center: Doubles) -> Doubles:
-    """Returns the mean direction in which solid voxels block the view from a position, shape (3,): downwards outdoors.
+    """Returns -4 times the mean of all directions that leave ``center`` without hitting a solid voxel, shape (3,).
 
-    Its length is 1 above an endless ground under an open sky, and 0 in a closed room or in the air.
+    The vector points down outdoors. Its length is 1 above an endless ground under an open sky, and 0 in a closed room
+    or in the air.
     """
     directions = even_directions(TRACE_DIRECTIONS)
     is_open = surfaces.cells.is_free(np.broadcast_to(center, directions.shape), directions)
@@ -363,7 +362,7 @@ def ground_direction(surfaces: CapturedSurfaces, center: Doubles) -> Doubles:
 
 
 def _robust_weights(design: Doubles, luminance: Doubles) -> Doubles:
-    """Returns weights of squared residuals, shape (M,): residuals relative to the luminance, under Huber's loss."""
+    """Returns weights of squared residuals, shape (M,): Huber's weight over the squared modelled luminance."""
     weights = np.ones_like(luminance)
     if not luminance.size:
         return weights

@@ -43,41 +43,45 @@ from lumisplat.scene.ops.neighbours import Pairs, cross_pairs
 from lumisplat.scene.ops.normals import agreeing_signs, shortest_axes
 
 BRIGHT_CELLS = 6
-"""Number of environment cells, the brightest, that each refinement divides."""
+"""Number of environment cells that one refinement divides: those that give the most light."""
 
 BRIGHT_PARTS = 4
-"""Number of smaller cells along each side of a divided environment cell."""
+"""Side of the grid of smaller cells into which a refinement divides an environment cell."""
 
 BRIGHT_REFINEMENTS = 2
-"""Number of times that the brightest environment cells are divided."""
+"""Number of refinements of the environment, each of which divides the `BRIGHT_CELLS` brightest cells and fits again."""
 
 CLIPPED = 0.985
-"""Display-referred value from which a Gaussian, if all its channels reach it, may have been too bright for the camera
-to record."""
+"""Display value from which a Gaussian with all channels above it counts as white: possibly too bright for the camera.
+"""
 
 EMITTERS_MAX = 8
 """Maximum number of emitters (groups of clipped Gaussians) whose radiance is fitted separately."""
 
 EMITTER_GAP = 4.0
-"""Largest distance between neighbouring Gaussians of one emitter, relative to the median scale of clipped Gaussians."""
+"""Two white Gaussians belong to one emitter if their distance is at most this times the median largest scale of white
+Gaussians."""
 
 PAIRS = 24_000
-"""Maximum number of pairs of neighbours whose albedos are compared."""
+"""Maximum number of pairs of neighbouring Gaussians in the albedo fit."""
 
 IRRADIANCE_KNOWN = 0.03
-"""Irradiance, relative to the median, below which a Gaussian's albedo is replaced by that of its neighbours."""
+"""Irradiance, relative to the median, below which a Gaussian's albedo is replaced by its neighbours'; at twice this
+value it is kept entirely."""
 
 MATT_LEAST = 0.2
-"""Smallest fraction of a Gaussian's reflectance that remains after the specular part is subtracted."""
+"""Smallest fraction of a Gaussian's reflectance that counts as diffuse after its specular reflection is subtracted."""
 
 CONFIDENT = 0.8
-"""Confidence from which a Gaussian's roughness counts, in a remark, as determined by highlights."""
+"""Confidence above which `MaterialEstimate.remarks` counts a Gaussian's roughness as determined by highlights."""
 
 TOO_LIGHT = 0.02
-"""Fraction of Gaussians with a problem, such as an albedo above 1, from which a remark reports the problem."""
+"""Fraction of Gaussians with a problem, such as an albedo above 1, above which `MaterialEstimate.remarks` reports it.
+"""
 
 RESIDUAL_LARGE = 0.25
-"""Residual, relative to the captured radiance, from which a Gaussian counts as unexplained by the estimated light."""
+"""Difference of modelled and captured radiance, relative to the captured, above which `MaterialEstimate.remarks`
+counts a Gaussian as unexplained."""
 
 ENVIRONMENT_IMAGE_ROWS = 64
 """Height of the image of the estimated environment, pixels."""
@@ -190,13 +194,17 @@ _FIT_S, _HIGHLIGHT_S = 10.0, 1e-3
 """Expected time of one light fit, and of fitting the highlights of one Gaussian, seconds; measured with 20,000
 Gaussians."""
 _RAYS_PER_S = 5e5
-"""Rays per second that are expected until they are timed; captures with many layers take 20 times longer."""
+"""Assumed rays per second, for the progress bar, until rays are timed; captures with many layers are 20 times slower.
+"""
 
 
 def _costs(
     count: int, config: DelightConfig, *, inside: bool, shines: bool, rays_per_s: float = _RAYS_PER_S
 ) -> dict[str, float]:
-    """Returns the expected cost of each stage for ``count`` Gaussians, as a number of traced rays."""
+    """Returns the expected cost of each stage of the estimate, in traced rays, by the stage's progress label.
+
+    ``inside``: a room, without an environment to refine; ``shines``: highlights are fitted, too.
+    """
     fit = _FIT_S * rays_per_s
     costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: 1.0 * config.cells**2 * count, _LIGHT: fit}
     for bright, light in () if inside else _BRIGHT:
@@ -206,7 +214,7 @@ def _costs(
 
 @dataclass(frozen=True, slots=True)
 class _Delighter:
-    """Runs the stages of a material estimate."""
+    """Estimates the materials of one capture: traces rays, fits light and roughness, and reports the progress."""
 
     gaussians: Gaussians
     config: DelightConfig
@@ -278,10 +286,10 @@ class _Delighter:
         )
 
     def _checked_outgoing(self, normals: Doubles, white: Flags) -> Doubles:
-        """Returns the outgoing radiance of the Gaussians, shape (N, 3).
+        """Returns the median radiance of N Gaussians over views of their normals' side, shape (N, 3).
 
         Raises:
-            SceneError: All Gaussians are as bright as display white, or all are black.
+            SceneError: All Gaussians are clipped at display white (``white``), or all are black.
         """
         if white.all():
             raise SceneError("all Gaussians are clipped at display white: no material can be estimated")
@@ -291,7 +299,7 @@ class _Delighter:
         return outgoing
 
     def _parts(self, roughness: FloatArray, lobes: Lobes) -> tuple[Doubles, Doubles]:
-        """Returns diffuse and specular radiance of N Gaussians with albedo 1 in a constant environment, (N, 1) each."""
+        """Returns N Gaussians' radiance in a constant environment: diffuse for albedo 1, and specular, (N, 1) each."""
         if self.config.matt:
             return np.ones((len(roughness), 1)), np.zeros((len(roughness), 1))
         matt, mirrored = lobes.in_constant_environment(roughness)
@@ -300,7 +308,7 @@ class _Delighter:
     def _finer(
         self, normals: Doubles, smoother: Smoother, cells: EnvironmentCells, incident: Irradiance, light: Light
     ) -> tuple[EnvironmentCells, Irradiance, Light]:
-        """Divides the brightest environment cells, traces rays to the new ones; returns cells, irradiance and light."""
+        """Divides the brightest environment cells and traces rays to the parts; returns cells, irradiance, light."""
         power = light.environment.mean(axis=1) * cells.solid_angles
         bright = np.argsort(-power, kind="stable")[:BRIGHT_CELLS]
         others = np.setdiff1d(np.arange(len(cells)), bright)
@@ -317,7 +325,7 @@ class _Delighter:
         )
 
     def _with_materials(self, albedo: Doubles, normals: Doubles, roughness: FloatArray) -> Gaussians:
-        """Returns the capture with the estimated materials."""
+        """Returns the capture with this albedo (scaled into 0..1), normals and roughness, and without metalness."""
         return replace(
             self.gaussians,
             albedo=read_only_view(albedo_in_range(albedo).astype(np.float32)),
@@ -328,16 +336,16 @@ class _Delighter:
 
 
 def _agreeing_axes(gaussians: Gaussians) -> Doubles:
-    """Returns the shortest axes of N Gaussians, shape (N, 3), turned to one side of a plane.
+    """Returns the shortest axes of N Gaussians, with signs that turn them to one side of a common plane, (N, 3).
 
-    These signs are final where no ray decides the visible side, such as on an isolated sheet.
+    Rays later decide which side is visible; these signs remain where no ray can, such as on an isolated sheet.
     """
     axes = shortest_axes(gaussians)
     return agreeing_signs(axes)[:, None] * axes
 
 
 def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
-    """Returns albedos, (N, 3), in which Gaussians with hardly any irradiance have the mean of their neighbours."""
+    """Replaces albedos of Gaussians with irradiance below `IRRADIANCE_KNOWN` by the mean of their neighbours."""
     light = irradiance.mean(axis=1)
     certainty = np.clip(light / (IRRADIANCE_KNOWN * float(np.median(light)) + 1e-12) - 1.0, 0.0, 1.0)
     weights = certainty[near.second] + 1e-6
@@ -348,20 +356,20 @@ def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
 
 
 def _unexplained(outgoing: Doubles, explained: Doubles) -> FloatArray:
-    """Returns the difference of explained and captured radiance, relative to the captured, of N Gaussians, (N,)."""
+    """Returns ``|explained - outgoing| / outgoing`` of N Gaussians' radiances, means over channels, shape (N,)."""
     difference = np.abs(explained - outgoing).mean(axis=1)
     return (difference / np.maximum(outgoing.mean(axis=1), RADIANCE_LEAST)).astype(np.float32)
 
 
 def is_white(gaussians: Gaussians, normals: Doubles) -> Flags:
-    """Returns which of N Gaussians are clipped at display white when viewed against their normal, shape (N,)."""
+    """Returns which of N Gaussians show at least `CLIPPED` in all channels, seen against their normals, (N,)."""
     return (colors_along(gaussians, -normals) >= CLIPPED).all(axis=1) & (gaussians.opacities > 0.0)
 
 
 def emitters_of(gaussians: Gaussians, white: Flags) -> Rows:
-    """Groups neighbouring white Gaussians; returns each Gaussian's group, shape (N,), or -1 for none.
+    """Groups neighbouring white Gaussians into emitters; returns each Gaussian's emitter, -1 for none, shape (N,).
 
-    Groups are numbered by size, the largest first; only the `EMITTERS_MAX` largest have a number.
+    Emitters are numbered from 0 by their number of Gaussians, largest first; beyond `EMITTERS_MAX` they get -1.
     """
     bright = np.flatnonzero(white)
     groups = np.full(gaussians.count, -1)
@@ -399,8 +407,8 @@ class MaterialEstimate:
     """Fraction of the irradiance at each Gaussian that is visible in the capture rather than estimated, 0..1, shape
     (N,)."""
     roughness_confidence: FloatArray
-    """Confidence of each Gaussian's roughness, 0..1, shape (N,): how narrowly highlights determine it. At 0 the
-    roughness is an assumed 0.8, as in a capture whose colours do not change with the view direction."""
+    """How narrowly highlights determine each Gaussian's roughness, 0..1, shape (N,). At 0 the roughness is an assumed
+    0.8, as in a capture whose colours do not change with the view direction."""
     is_inside: bool
     """True if the capture was taken from inside, as a room is."""
     out_of_range: Flags
@@ -409,8 +417,8 @@ class MaterialEstimate:
     is_white: Flags
     """True for Gaussians clipped at display white, except emitters, shape (N,); their albedo is a guess."""
     is_too_dark: Flags
-    """True for Gaussians darker in a channel than the specular reflection of a dielectric, shape (N,). Relit, they
-    become lighter in that channel, and saturated colours paler."""
+    """True for Gaussians that are darker in a channel than the specular reflection that a dielectric would have, shape
+    (N,). Relit, they become lighter in that channel, and saturated colours paler."""
 
     def environment_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
         """Returns the environment as a latitude-longitude image, shape (H, 2 H, 3); black if there is no environment.
@@ -446,7 +454,7 @@ class MaterialEstimate:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Notes on the result, one sentence each."""
+        """Sentences for the user on assumptions and problems: room or open scene, emitters, guessed albedos."""
         observed = float(self.confidence.mean())
         lines = [
             "taken for a closed room, as few rays escape: all light is its own (otherwise: --inside no, inside=False)"

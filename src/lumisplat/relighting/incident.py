@@ -27,25 +27,23 @@ from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, morton_order, pai
 from lumisplat.scene.scene import Scene
 
 NEIGHBOURS = 12
-"""Approximate number of Gaussians over which irradiance is averaged: irradiance varies less between them than its
-noise.
-"""
+"""Approximate number of nearby Gaussians over which traced irradiance is averaged to reduce its noise."""
 
 NORMAL_SHARPNESS = 8
-"""Exponent of the cosine between normals in the weights of neighbours."""
+"""Exponent of the cosine between two Gaussians' normals in the weight with which their irradiances are averaged."""
 
 
 def neighbours_of(gaussians: Gaussians) -> Pairs:
-    """Returns pairs of neighbouring Gaussians, in both orders, about `NEIGHBOURS` for each, itself included."""
+    """Returns pairs of near Gaussians, in both orders and with themselves: about `NEIGHBOURS` for each Gaussian."""
     means = gaussians.means.astype(np.float64)
     return pairs_of_about(NEIGHBOURS, means, partial(cross_pairs, means, means))[0]
 
 
 def normal_variances(gaussians: Gaussians, normals: Doubles, near: Pairs) -> Doubles:
-    """Returns the variance of the normal along an axis within the extent of N Gaussians, radians^2, shape (N,).
+    """Returns the variance of the surface's normal within the extent of each of N Gaussians, radians^2, shape (N,).
 
-    The variance is the mean squared change of the normal per squared distance, over neighbours on the same side, times
-    the mean square of the Gaussian's two larger scales; 0 for Gaussians without neighbours.
+    It is the mean squared change of the normal over neighbours, per squared distance, times the mean square of the
+    Gaussian's two larger scales; neighbours with opposite normals are ignored. 0: the Gaussian has no neighbours.
     """
     first, second = (rows[near.first != near.second] for rows in (near.first, near.second))
     apart = np.square(gaussians.means[first].astype(np.float64) - gaussians.means[second]).sum(axis=1)
@@ -61,11 +59,12 @@ Values = TypeVar("Values", FloatArray, Doubles)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoother:
-    """Averages values over neighbours with similar normals; emitters are averaged only with their own kind."""
+    """Averages per-Gaussian values over neighbours with similar normals; emitters and non-emitters are kept apart."""
 
     near: Pairs
     weights: Doubles
-    """Weight of each pair of neighbours; the weights of all pairs with the same first Gaussian sum to 1."""
+    """Weight of each pair of neighbours, shape of ``near.first``; the weights of one first Gaussian's pairs sum to 1.
+    """
 
     @staticmethod
     def of(near: Pairs, normals: Doubles, emitters: Rows) -> Smoother:
@@ -83,16 +82,17 @@ class Smoother:
         return smooth
 
     def incident(self, incident: Irradiance) -> Irradiance:
-        """Averages the irradiance of the Gaussians; ``by_direction`` stays as it is."""
+        """Averages irradiance from capture, environment and emitters over neighbours; ``by_direction`` is copied."""
         smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "environment", "emitters")}
         return replace(incident, **smooth)
 
 
 SIDE_DIRECTIONS = 26
-"""Number of directions over the sphere in which rays search for the visible side of each Gaussian."""
+"""Number of directions over the sphere in which rays test on which of its two sides each Gaussian was seen."""
 
 SIDE_ENCLOSED = 0.1
-"""Fraction of Gaussians without an open side from which a capture counts as taken from inside, as a room is."""
+"""Fraction of Gaussians from which rays escape on neither side, above which a capture counts as taken from inside a
+room."""
 
 OPENNESS_MIN = 0.1
 """Smallest fraction of rays that escape the capture on a side of a Gaussian for the side to be open. Trained walls let
@@ -100,39 +100,41 @@ OPENNESS_MIN = 0.1
 objects, at most 0.2 %."""
 
 OPENNESS_ENOUGH = 0.2
-"""Fraction of escaped rays from which further escaping rays do not make a side more likely to be the visible one."""
+"""Fraction of a side's rays that escape, from which more escaping rays do not make it likelier to be the visible side.
+"""
 
 SIDE_FAR = 0.02
-"""Mean hit distance of the rays on a side of a Gaussian, relative to the capture's extent, from which the side faces
-free space."""
+"""Mean distance to the hits of a side's rays, relative to the capture's extent, above which the side faces free space
+and not the inside of a solid."""
 
 CONTENT_SCALE = 0.003
-"""Difference between the mean hit distances on the two sides of a Gaussian, relative to the capture's extent, at which
-the vote for a side is 0.5."""
+"""Difference of the two sides' mean hit distances, relative to the capture's extent, that gives a vote of 0.5 for the
+farther side: ``vote = difference / (|difference| + CONTENT_SCALE)``."""
 
 SIDE_STIFFNESS = 5.0
-"""Weight of the agreement of neighbours on their visible sides, relative to the Gaussians' votes."""
+"""Weight of the agreement of neighbouring Gaussians on their visible sides, relative to the weight of their own votes.
+"""
 
 SIDE_SHARPNESS = 4
-"""Exponent of the cosine between the axes of neighbours, in the weight of their agreement."""
+"""Exponent of the cosine between two neighbours' axes, in the weight of the agreement on their visible sides."""
 
 SIDE_STEPS = 300
 """Maximum number of conjugate gradient steps that find the visible sides."""
 
 SIDE_ERROR = 1e-6
-"""Root mean square residual at which the conjugate gradient steps end. Only the signs of the solution are used, and
-its values lie farther from 0.
+"""Root mean square residual at which the conjugate gradients for visible sides end; only signs of the solution are
+used.
 """
 
 SURFACE_SPREAD = 0.5
-"""Standard deviation of ray origins on a Gaussian, in the Gaussian's standard deviations, as in a bake."""
+"""Standard deviation of sampled ray origins on a Gaussian, in units of the Gaussian's own standard deviations."""
 
 EMITTER_POINTS = 24
 """Number of points sampled on each emitter, towards which shadow rays are traced."""
 
 
 class SurfacePoints:
-    """Samples points on Gaussians, at the peak of the Gaussian's response along its normal.
+    """Samples ray origins on Gaussians: random points, moved along the normal to the peak of the Gaussian's density.
 
     Args:
         gaussians: The capture.
@@ -145,7 +147,7 @@ class SurfacePoints:
         self._rng = np.random.default_rng([seed, 9])
 
     def at(self, rows: Rows, normals: Doubles) -> FloatArray:
-        """Samples one point on each of the R Gaussians that ``rows`` selects, shape (R, 3)."""
+        """Samples one point on each of the R Gaussians ``rows`` with unit ``normals``, (R, 3); returns shape (R, 3)."""
         point = SURFACE_SPREAD * self._rng.standard_normal((len(rows), 3))
         slope = np.einsum("ijk,ij->ik", self._axes[rows], normals) / self._scales[rows]
         along = np.einsum("ij,ij->i", point, slope) / np.einsum("ij,ij->i", slope, slope)
@@ -154,7 +156,7 @@ class SurfacePoints:
 
 
 def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
-    """Returns signs of N axes, shape (N,), that follow strong votes and, where votes are weak, aligned neighbours.
+    """Chooses the visible side of N axes: signs, (N,), that follow strong votes, or neighbours where votes are weak.
 
     The signs s minimise ``sum c_i (s_i - sign v_i)^2 + sum w_ij (s_i - sign(a_i a_j) s_j)^2 / 2`` with votes v, axes a
     and ``c_i = |v_i|``, by conjugate gradients. Votes thus spread along surfaces, however far the next strong vote is.
@@ -205,7 +207,7 @@ class IncidentRays:
         """Returns normals towards the visible side of each Gaussian, and whether the capture was taken from inside.
 
         For an object, the visible side is the one from which rays escape; if rays escape from both sides, as from a
-        floor, it is the side that sees more of the capture. For a room, it is the side that sees more of the capture,
+        floor, it is the side whose rays hit more of the capture, farther away. For a room, it is that side always,
         because nothing is behind the walls.
 
         Args:
@@ -247,13 +249,14 @@ class IncidentRays:
     def incident(
         self, normals: Doubles, emitters: Rows, cells: EnvironmentCells, *, stores_directions: bool = False
     ) -> Irradiance:
-        """Returns the irradiance of the Gaussians on the side of their normals.
+        """Traces one ray per Gaussian and environment cell; returns the irradiance on the side of the normals.
 
         Args:
             normals: Unit normals, shape (N, 3).
             emitters: Index of the emitter to which each Gaussian belongs, -1 for none, shape (N,).
             cells: Environment cells over the sphere.
-            stores_directions: Whether to also store the light from the capture by direction.
+            stores_directions: Whether to also store the irradiance from the capture separately for each cell's
+                direction.
         """
         by_direction = np.zeros((len(cells) if stores_directions else 0, len(normals), 3), np.float16)
         observed, environment = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
@@ -280,7 +283,11 @@ class IncidentRays:
         return Irradiance(observed, environment, shares.astype(np.float32), directions, by_direction)
 
     def from_environment(self, normals: Doubles, cells: EnvironmentCells) -> FloatArray:
-        """Returns the irradiance over pi from each of K environment cells with radiance 1, shape (N, K)."""
+        """Returns irradiance / pi of N Gaussians from each of K environment cells of radiance 1, with shadows.
+
+        Returns:
+            Float32 irradiances over pi, shape (N, K).
+        """
         environment = np.zeros((len(normals), len(cells)), np.float32)
         for cell in range(len(cells)):
             rows, directions, shares = self._sampled_directions(normals, cells, cell)
@@ -293,11 +300,11 @@ class IncidentRays:
     def _sampled_directions(
         self, normals: Doubles, cells: EnvironmentCells, cell: int
     ) -> tuple[Rows, Doubles, Doubles]:
-        """Samples one direction within an environment cell for each Gaussian.
+        """Samples for each Gaussian one direction within environment cell number ``cell``.
 
         Returns:
-            Indices of the Gaussians whose normal side faces their direction, the directions, and the irradiances over
-            pi for radiance 1.
+            Indices of the R Gaussians whose normal faces the direction, the directions, shape (R, 3), and their
+            irradiances over pi if the cell has radiance 1, shape (R,).
         """
         directions = cells.directions_within(cell, len(normals), self._rng)
         cosines = np.einsum("ij,ij->i", normals, directions)
@@ -305,10 +312,10 @@ class IncidentRays:
         return rows, directions[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
 
     def _from_emitter(self, normals: Doubles, members: Rows) -> Doubles:
-        """Returns the irradiance over pi from an emitter of radiance 1, up to a factor for all Gaussians, shape (N,).
+        """Returns irradiance / pi from the emitter Gaussians ``members`` of radiance 1, up to a common factor, (N,).
 
-        The emitter's area is the sum over its overlapping Gaussians and thus too large. The caller corrects the area by
-        the rays that hit the emitter.
+        The emitter's Gaussians overlap, so the sum of their areas is too large; `incident` corrects it by the rays that
+        hit the emitter.
         """
         scales = np.sort(self._capture.scales[members].astype(np.float64), axis=1)
         area = np.pi * (scales[:, 1] * scales[:, 2] * self._capture.opacities[members])
@@ -325,12 +332,12 @@ class IncidentRays:
         return found * (area.sum() / (np.pi * EMITTER_POINTS))
 
     def _trace(self, rows: Rows, normals: Doubles, directions: Doubles) -> RayHits:
-        """Traces rays that leave the Gaussians ``rows`` on the side of the normal, and returns the rays' hits."""
+        """Traces one ray from each of the Gaussians ``rows``, starting on its normal's side; returns the rays' hits."""
         points = self._points.at(rows, normals)
         return self._renderer.leaving_hits(self._scene, points, directions.astype(np.float32), self._offsets[rows])
 
     def _transmittance(self, rows: Rows, normals: Doubles, directions: Doubles, distances: Doubles) -> FloatArray:
-        """Returns the transmittance of rays that leave the Gaussians ``rows``, up to the distances ``distances``."""
+        """Returns the transmittance of one ray from each of the Gaussians ``rows`` up to its distance, scene units."""
         points = self._points.at(rows, normals)
         legs, lengths = directions.astype(np.float32), distances.astype(np.float32)
         return self._renderer.leaving_transmittance(self._scene, points, legs, lengths, self._offsets[rows])

@@ -19,57 +19,59 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
 
 ALPHA_LEAST = 1e-6
-"""Lower bound of a ray's alpha when the ray's colour is divided by it."""
+"""Lower bound of a ray's alpha, by which its alpha-weighted colour is divided."""
 
 VIEW_DIRECTIONS = 16
-"""Number of directions from which a Gaussian's colour is evaluated for the median."""
+"""Number of view directions over which the median of a Gaussian's colour is taken."""
 
 VIEW_TILT = 0.5
-"""Weight of the normal that is added to view directions, because colours at grazing angles are unreliable."""
+"""Weight of the normal that is added to each unit view direction: SH colours at grazing angles are unreliable."""
 
 ALBEDO_HIGH = 0.8
 """Assumed albedo of the lightest surfaces in their largest channel, which fixes the scale of estimated light."""
 
 UNIT_IRRADIANCE_MIN = 0.05
-"""Irradiance of a Gaussian from environment and emitters, relative to the median, from which the Gaussian helps to
-determine their radiance."""
+"""Smallest irradiance from environment and emitters with radiance 1, relative to the median, at which a Gaussian is
+used to estimate their radiance."""
 
 UNSEEN_RADIANCE_MIN = 0.05
-"""Smallest initial radiance of environment and emitters in the light fit."""
+"""Lower bound of the initial radiance of environment and emitters, in units of display white."""
 
 LIGHTEST = 0.95
 """Quantile of the Gaussians' albedos that is scaled to `ALBEDO_HIGH`."""
 
 SCALE_STEPS = 5
-"""Number of fixed-point steps for the scale of the light; several are needed because the scale does not apply to
-irradiance from the capture itself."""
+"""Number of fixed-point iterations for the scale of the light; several, because irradiance from the capture itself
+does not scale with it."""
 
 OUTGOING_DIRECTIONS = 64
-"""Number of directions over the sphere from which a Gaussian's colour is evaluated for the mean."""
+"""Number of view directions, evenly over the sphere, over which the mean of a Gaussian's colour is taken."""
 
 OUTGOING_COSINE = 0.3
-"""Smallest cosine between normal and view direction of the mean's views; SH extrapolate at more grazing views."""
+"""Smallest cosine between a Gaussian's normal and a view that enters the mean colour: SH extrapolate at grazing views.
+"""
 
 HalfArray = npt.NDArray[np.float16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Irradiance:
-    """Irradiance over pi of N Gaussians by source of light; a white diffuse surface would have this radiance.
+    """Irradiance over pi at N Gaussians, split by source: capture, environment cells and emitters.
 
-    Values are linear, in units of display white.
+    This is the radiance of a white diffuse surface there: linear, in units of display white.
     """
 
     observed: Doubles
-    """Irradiance from the capture itself, without its emitters, shape (N, 3)."""
+    """Irradiance over pi from the Gaussians of the capture, without its emitters, linear, shape (N, 3)."""
     environment: FloatArray
-    """Irradiance from each of K environment cells with radiance 1, shape (N, K)."""
+    """Irradiance over pi from each of K environment cells if its radiance were 1, shape (N, K)."""
     emitters: FloatArray
-    """Irradiance from each of L emitters with radiance 1, shape (N, L)."""
+    """Irradiance over pi from each of L emitters if its radiance were 1, shape (N, L)."""
     directions: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
-    """The W unit directions for which the observed irradiance is also stored separately, shape (W, 3); may be empty."""
+    """The W unit directions of ``by_direction``, world space, shape (W, 3); W is 0 if it was not stored."""
     by_direction: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
-    """Part of ``observed`` that comes from each of ``directions``, shape (W, N, 3)."""
+    """Summands of ``observed`` by the direction from which the light arrives, one of ``directions`` each, shape (W, N,
+    3)."""
 
     def total(self, environment: Doubles | FloatArray, emitters: Doubles) -> Doubles:
         """Returns the total irradiance over pi of N Gaussians for given radiances, shape (N, 3).
@@ -82,7 +84,7 @@ class Irradiance:
 
 
 BLOCK = 4096
-"""Number of Gaussians whose colours from all directions are in memory at once."""
+"""Number of Gaussians whose colours in all view directions are evaluated at once, to limit memory."""
 
 
 def median_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
@@ -121,7 +123,7 @@ def mean_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def hit_radiance(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Doubles:
-    """Returns the linear radiance of the surfaces that N rays hit, without the rays' transparency, shape (N, 3).
+    """Returns the linear radiance of the surfaces that N rays hit, as if each were opaque, shape (N, 3).
 
     Args:
         hits: Hits with display-referred colours weighted by alpha.
@@ -131,7 +133,7 @@ def hit_radiance(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Dou
 
 
 def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Returns the radiance of N Gaussians towards M view directions, bent towards their normals, shape (M, N, 3)."""
+    """Returns linear radiance of N Gaussians towards M views on the normal's side, tilted to the normal, (M, N, 3)."""
     radiances: list[FloatArray] = []
     for direction in even_directions(VIEW_DIRECTIONS):
         view = np.where(normals @ direction > 0.0, 1.0, -1.0)[:, None] * direction + VIEW_TILT * normals
@@ -141,12 +143,14 @@ def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def unit_irradiance(incident: Irradiance) -> Doubles:
-    """Returns the irradiance over pi of N Gaussians if environment and emitters had radiance 1, shape (N,)."""
+    """Returns irradiance / pi of N Gaussians from environment and emitters, if all of these had radiance 1, (N,)."""
     return incident.environment.sum(axis=1, dtype=np.float64) + incident.emitters.sum(axis=1, dtype=np.float64)
 
 
 def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> float:
-    """Estimates one grey radiance for environment and emitters; 1 if hardly any of their light reaches a Gaussian.
+    """Estimates one radiance for environment and emitters that gives the lightest surfaces an albedo of 0.8.
+
+    It is 1 if hardly any light of environment and emitters reaches a Gaussian.
 
     Args:
         outgoing: Outgoing radiance of N Gaussians, shape (N, 3).
@@ -162,18 +166,18 @@ def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles)
 
 
 def chroma_similarity(differences: Doubles, width: float) -> Doubles:
-    """Returns the likelihood, by chromaticity, that the two surfaces of P pairs have one albedo, 0..1, shape (P, 1).
+    """Returns for P pairs of surfaces the likelihood that both have one albedo, by chromaticity, 0..1, shape (P, 1).
 
     Args:
         differences: Differences of the logarithms of the pairs' albedos, shape (P, 3).
-        width: Standard deviation of the largest difference of chromaticity.
+        width: Standard deviation, natural logarithm, of the largest deviation of a channel from the channels' mean.
     """
     chroma = differences - differences.mean(axis=1, keepdims=True)
     return np.exp(-0.5 * np.square(np.abs(chroma).max(axis=1, keepdims=True) / width))
 
 
 def typical_albedo_factor(outgoing: Doubles, observed: Doubles, added: Doubles, weights: Doubles) -> float:
-    """Returns the factor by which the light must be scaled for the lightest albedos to be typical.
+    """Returns the factor on the light of environment and emitters that brings the lightest albedos to 0.8.
 
     Irradiance from the capture itself is not scaled, so the factor is found in fixed-point steps. Each step closes the
     gap by the light's fraction of the irradiance. Where Gaussians are mainly lit by each other, the lightest albedos
@@ -182,7 +186,7 @@ def typical_albedo_factor(outgoing: Doubles, observed: Doubles, added: Doubles, 
     Args:
         outgoing: Outgoing radiance of N Gaussians, shape (N, 3).
         observed: Irradiance over pi from the capture itself, shape (N, 3).
-        added: Irradiance over pi from the light, shape (N, 3).
+        added: Irradiance over pi from environment and emitters, which the factor scales, shape (N, 3).
         weights: Weights of the Gaussians, at least 0, shape (N,).
     """
     factor = 1.0

@@ -30,99 +30,103 @@ from lumisplat.scene.scene import Scene, SplatInstance
 # Light estimation (Mir et al. 2026, section 3.1, gives no figures; docs/adr/0014)
 
 LIGHT_SEARCH_STRAYS = 0.02
-"""Fraction of the Gaussians, those farthest from the character, that are ignored when the scene's size is measured.
-Captures have floaters far outside."""
+"""Fraction of the Gaussians, those farthest from the character to be lit, that the measured size of the scene ignores:
+captures have floaters far outside."""
 
 LIGHT_SEARCH_REACH = 1.5
-"""Radius of the search region, relative to the scene's size: more than 1, because lights hang at the scene's rim."""
+"""Radius of the search for lights around the character, relative to the scene's size (`capture_extent`): above 1,
+because lights hang at the scene's rim."""
 
 LIGHT_SEARCH_VIEWPOINTS = 0.1
-"""Distance of the outer viewpoints from the character, relative to the scene's size: a person's width in a room of 3
-m."""
+"""Distance from the character of four of the five viewpoints in which Gaussians are evaluated, relative to the scene's
+size: a person's width in a room of 3 m."""
 
 LIGHT_SEARCH_EMITTER = 1.0 / 12.0
-"""Size of a compact emitter, relative to the scene's size: a lamp of 25 cm in a room of 3 m."""
+"""Default largest size of a light source, relative to the scene's size: a lamp of 25 cm in a room of 3 m."""
 
 LIGHT_SEARCH_SEPARATION = 3.0
-"""Smallest distance between two lights, in emitter sizes: more than the distance at which a candidate's surroundings
-are measured."""
+"""Default smallest distance between two estimated lights, in units of the largest size of a light source."""
 
 LIGHT_SEARCH_CLIP = 0.99
-"""Quantile of luminance above which luminance is replaced by its logarithm. Single Gaussians of captures are a hundred
-times too bright."""
+"""Quantile of the Gaussians' mean luminance from which larger luminance is compressed to its logarithm: single
+Gaussians of captures are a hundred times too bright."""
 
 LIGHT_SEARCH_PRIOR = 4.0
-"""Number of Gaussians of median score that are added to each octant of a candidate's surroundings, so that one outlier
-does not decide the octant's mean.
+"""Number of virtual Gaussians with the median squared score added to each octant around a candidate light, so that one
+outlier does not decide the octant's mean.
 """
 
 LIGHT_SEARCH_BROAD = 0.05
-"""Smallest contrast factor of a light's score, used for lights that do not stand out from their surroundings at all."""
+"""Lower bound of the contrast, 1 - score around a candidate light / its own score, that multiplies the candidate's
+score."""
 
 # Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
 TRACE_NEAREST = 2.0
-"""Distance from a light, in emitter sizes, within which surfaces are no evidence, because a bright patch is bright
-around itself. Alternative positions of the light are tested at this distance, too."""
+"""Distance from a candidate light, in sizes of a light source, within which surfaces do not count as lit by it: a
+bright patch is bright around itself. Six alternative positions of the light are tested at this distance, too."""
 
 TRACE_CASING = 1.5
-"""Distance from a light, in emitter sizes, within which voxels do not shadow the light, such as those of a lampshade.
+"""Last stretch of a shadow ray before a candidate light, in sizes of a light source, on which voxels, such as those of
+a lampshade, do not block it.
 """
 
 LIGHT_SIGNIFICANCE = 4.0
-"""Smallest ratio of a light's regression coefficient to its standard error. By chance, one of 64 candidates reaches it
-in one capture of 500."""
+"""Smallest ratio of the regression coefficient of a candidate's irradiance to its standard error for the candidate to
+be a light. By chance, one of 64 candidates reaches it in one capture of 500."""
 
 LIGHT_DOUBT = 2.0
-"""Factor by which candidates that are low, or do not stand out from their surroundings, need more evidence."""
+"""Factor on the luminance variance that a candidate light must explain if it is level with or below the character, or
+hardly brighter than its surroundings."""
 
 LIGHT_ELSEWHERE = 0.6
-"""Smallest evidence of a candidate, relative to the evidence of a light at any of six positions beside it: shading is
-strongest around the true source."""
+"""Smallest ratio of the luminance variance that a light explains to the largest that a light at six positions beside
+it explains: shading is strongest around the true source."""
 
 LIGHT_CANDIDATES = 64
-"""Number of bright Gaussians, those with the best scores, that are tested as lights."""
+"""Maximum number of bright Gaussians, those with the highest scores, that are tested as light positions."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightEstimate:
-    """The k estimated lights, the strongest first, and the evidence for each."""
+    """The k estimated point lights, highest score first, and the evidence for each."""
 
     lights: tuple[LightPoint, ...]
     """Lights named ``estimated-1`` and so on; together they give the character the requested irradiance."""
     scores: FloatArray
-    """Base score of each light times its contrast, shape (k,)."""
+    """Score of each light: brightness, constancy over views and opacity of its Gaussian, times contrast, shape (k,)."""
     peakness: FloatArray
-    """Ratio of each light's base score to the score of its surroundings in their brightest direction, shape (k,)."""
+    """Ratio of the score of each light's Gaussian to the root mean square score of the Gaussians around it in the
+    brightest octant, shape (k,): above 1 for a light that is brighter than its surroundings."""
     instances: Rows
-    """Index of the splat instance each light was found in, shape (k,)."""
+    """Index of the scene's splat instance to which each light's Gaussian belongs, shape (k,)."""
     indices: Rows
-    """Index of each light's Gaussian in its instance, shape (k,)."""
+    """Index, within its splat instance, of the Gaussian at which each light is, shape (k,)."""
     evidence: FloatArray
-    """Fraction of the unexplained variance of surface luminance that each light explains, shape (k,); 0 if
-    ``config.evidence`` is 0."""
+    """Fraction of the luminance variance, left by earlier lights and a smooth environment, that each light explains,
+    (k,); 0 if ``config.evidence`` is 0, which skips the test."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Sizes:
-    """Distances of the search, scene units: as the settings say, or else proportional to the scene's size."""
+    """Distances of the light search, scene units: from `LightEstimationConfig`, else multiples of the scene's size."""
 
     extent: float
-    """Size of the scene, from the character's centre."""
+    """Configured search radius, else the distance from the character's centre within which 98 % of the means lie."""
     radius: float
-    """Radius of the search region around the character's centre."""
+    """Radius around the character's centre within which Gaussians may be lights."""
     viewpoints: float
-    """Distance of the outer viewpoints from the character's centre."""
+    """Distance of the four outer viewpoints, from which Gaussians are evaluated, to the character's centre."""
     emitter: float
-    """Largest size of a compact light source."""
+    """Largest size of a light source that counts as compact."""
     separation: float
     """Smallest distance between two lights."""
 
     @classmethod
     def of(cls, settings: LightEstimationConfig, worlds: list[Doubles], center: Doubles) -> _Sizes:
-        """Returns the distances for a capture with these world-space means of its instances."""
+        """Returns the distances for a capture whose instances have the world-space means ``worlds``."""
         extent = settings.radius or capture_extent(worlds, center)
         emitter = settings.emitter_size or LIGHT_SEARCH_EMITTER * extent
         return cls(
@@ -136,16 +140,18 @@ class _Sizes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """R Gaussians that may be lights."""
+    """The R brightest Gaussians around the character: possible positions of lights."""
 
     rows: Rows
-    """Indices of the Gaussians in `Evidence`, shape (R,)."""
+    """Index of each candidate Gaussian in the arrays of `Evidence`, shape (R,)."""
     surrounding_scores: Doubles
-    """Score of the surroundings of each candidate, shape (R,)."""
+    """Root mean square score (brightness) of the Gaussians around each of R candidate lights, in the octant where it
+    is largest, as `surrounding_scores` returns it, shape (R,)."""
     weights: Doubles
-    """Base score times contrast of each candidate, shape (R,)."""
+    """Score of each candidate light times its contrast, 1 - surrounding / own score, at least `LIGHT_SEARCH_BROAD`,
+    (R,)."""
     is_compact: Flags
-    """True for candidates with enough contrast to their surroundings, shape (R,)."""
+    """True for candidates whose contrast, 1 - surrounding / own score, reaches ``config.compactness``, shape (R,)."""
 
 
 def estimate_lights(
@@ -228,10 +234,10 @@ def _point_lights(
     count: int,
     settings: LightEstimationConfig,
 ) -> tuple[Rows, Doubles]:
-    """Returns the candidates that light their surroundings, brightest first, and the variance that each explains.
+    """Returns indices of candidates that light surfaces, brightest first, and each one's `LightEstimate.evidence`.
 
     Args:
-        evidence: Scores of all Gaussians.
+        evidence: Gaussians around the character and their scores.
         candidates: Gaussians that may be lights.
         surfaces: Surfaces of the capture.
         sizes: Distances of the search.
@@ -276,10 +282,10 @@ def _check_count(count: object) -> None:
 
 
 def splats_of(scene: object) -> tuple[SplatInstance, ...]:
-    """Returns the captures of a scene, an instance or Gaussians, as instances.
+    """Returns the splat instances of a `Scene`, or those that a `SplatInstance` or `Gaussians` alone stands for.
 
     Raises:
-        SceneError: There is no capture.
+        SceneError: The argument is of another type, or the scene has no capture.
     """
     if isinstance(scene, Gaussians):
         return (SplatInstance(scene),)
@@ -299,10 +305,10 @@ def capture_extent(worlds: list[Doubles], center: Doubles) -> float:
 
 
 def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_size: float) -> _Candidates:
-    """Returns the bright Gaussians that are not inside the character, with their contrast.
+    """Returns the Gaussians with scores of at least ``settings.weakest`` times the highest, outside the character.
 
-    They are all Gaussians above a score, not a fixed number, so that a bright wall of many Gaussians does not exclude a
-    slightly darker light.
+    A threshold, not a fixed number, selects them, so that a bright wall of many Gaussians does not exclude a slightly
+    darker light. Gaussians within one emitter size of the character's centre are left out.
     """
     bright = (evidence.scores >= settings.weakest * evidence.scores.max()) & (evidence.scores > 0.0)
     rows = np.flatnonzero(bright & (evidence.distances > emitter_size))
@@ -314,10 +320,10 @@ def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_siz
 
 
 def _choose(evidence: Evidence, candidates: _Candidates, count: int, weakest: float, separation: float) -> Rows:
-    """Chooses candidates by greedy non-maximum suppression; returns their indices, the best first.
+    """Chooses compact candidates by greedy non-maximum suppression; returns their indices, largest weight first.
 
     Args:
-        evidence: Scores of all Gaussians.
+        evidence: Gaussians around the character, with their positions.
         candidates: Gaussians that may be lights.
         count: Maximum number of candidates.
         weakest: Smallest weight of a chosen candidate, relative to the largest.
@@ -353,30 +359,30 @@ _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """Scores of the N Gaussians in the search region, of all instances together."""
+    """The N Gaussians of all splat instances within the search radius of the character, and their scores as lights."""
 
     instances: Rows
-    """Index of the splat instance to which each Gaussian belongs, shape (N,)."""
+    """Index of the splat instance to which each of the N Gaussians belongs, shape (N,)."""
     indices: Rows
-    """Index of each Gaussian in its instance, shape (N,)."""
+    """Index of each of the N Gaussians within its splat instance, shape (N,)."""
     means: Doubles
-    """World-space means, shape (N, 3)."""
+    """World-space means of the N Gaussians, shape (N, 3)."""
     distances: Doubles
-    """Distances to the character's centre, shape (N,)."""
+    """Distance of each Gaussian's mean to the character's centre, scene units, shape (N,)."""
     colors: FloatArray
-    """Linear colours towards the character's centre, shape (N, 3)."""
+    """Linear colour of each Gaussian viewed from the character's centre, shape (N, 3)."""
     scores: FloatArray
-    """Base scores, shape (N,)."""
+    """Score of each Gaussian as a light, higher is brighter: compressed luminance times opacity, constancy over the
+    five viewpoints and share of SH degree 0, shape (N,)."""
 
 
 class _Luminance(NamedTuple):
-    """Luminance of M Gaussians over the viewpoints, shape (M,) each."""
+    """Mean and maximum of M Gaussians' luminance over the five viewpoints, and its constancy, shape (M,) each."""
 
     mean: FloatArray
     maximum: FloatArray
     view_independence: FloatArray
-    """Mean luminance over the sum of mean and standard deviation, 0..1; 1 if the luminance is equal from all
-    viewpoints."""
+    """Mean / (mean + standard deviation) of the luminance over the five viewpoints, 0..1; 1 if it is equal from all."""
 
 
 def _gathered_evidence(
@@ -386,7 +392,7 @@ def _gathered_evidence(
     viewpoint_distance: float,
     radius: float,
 ) -> Evidence:
-    """Computes the scores of all Gaussians around a character.
+    """Scores all Gaussians within ``radius`` of a character as possible lights.
 
     Args:
         splats: Instances of the capture.
@@ -428,7 +434,7 @@ def _gathered_evidence(
 def _colors_and_luminance(
     instance: SplatInstance, gaussians: Gaussians, viewpoints: Doubles
 ) -> tuple[FloatArray, _Luminance]:
-    """Returns linear colours of M Gaussians from the first viewpoint, (M, 3), and luminance over all viewpoints."""
+    """Returns M Gaussians' linear colours from the first viewpoint, (M, 3), and their luminance over all viewpoints."""
     first = _colors_from(viewpoints[0], instance, gaussians)
     others = (_colors_from(viewpoint, instance, gaussians) for viewpoint in viewpoints[1:])
     luminance = [colors @ np.array(LUMINANCE, dtype=np.float32) for colors in itertools.chain([first], others)]
@@ -447,7 +453,7 @@ def _colors_from(viewpoint: Doubles, instance: SplatInstance, gaussians: Gaussia
 
 
 def _brightness(luminances: list[_Luminance]) -> FloatArray:
-    """Returns the average of mean and maximum luminance of all instances' Gaussians; large values are compressed."""
+    """Returns half the sum of mean and maximum luminance of all Gaussians, both compressed above a high quantile."""
     mean = np.concatenate([luminance.mean for luminance in luminances])
     maximum = np.concatenate([luminance.maximum for luminance in luminances])
     level = float(np.quantile(mean, LIGHT_SEARCH_CLIP))
@@ -455,7 +461,7 @@ def _brightness(luminances: list[_Luminance]) -> FloatArray:
 
 
 def _constant_share(gaussians: Gaussians, degree: int) -> FloatArray:
-    """Returns the fraction that SH degree 0 has in a colour's mean square over directions (Parseval), shape (M,)."""
+    """Returns the fraction of each colour's mean square over directions that SH degree 0 contributes, shape (M,)."""
     constant = np.sum(np.maximum(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0) ** 2, axis=1)
     bands = gaussians.sh[:, 1 : (degree + 1) ** 2]
     varying = np.einsum("nkc,nkc->n", bands, bands) / (4.0 * np.pi)
@@ -463,7 +469,7 @@ def _constant_share(gaussians: Gaussians, degree: int) -> FloatArray:
 
 
 def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
-    """Compresses values: above ``level`` they grow with their logarithm only, with a continuous slope."""
+    """Compresses values above ``level`` to ``level (1 + log(value / level))``; values up to ``level`` stay."""
     if level <= 0.0:
         return values
     return np.where(values <= level, values, level * (1.0 + np.log(np.maximum(values, level) / level)))
@@ -471,12 +477,12 @@ def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundLights:
-    """The k candidates that light their surroundings, in the order in which they were found."""
+    """The k candidate lights whose light is visible on surfaces, in the order in which the search accepted them."""
 
     rows: Rows
-    """Indices among the candidates, shape (k,)."""
+    """Index of each accepted light among the R candidates, shape (k,)."""
     shares: Doubles
-    """Fraction of the unexplained luminance variance that each light explains, shape (k,)."""
+    """Fraction of the luminance variance left by earlier lights that each accepted light explains, shape (k,)."""
 
 
 def _lights_among(
@@ -535,14 +541,21 @@ def _is_light(trace: Trace, doubt: float, evidence: float) -> bool:
 
 
 def _is_localised(shading: Shading, position: Doubles, trace: Trace, emitter: float) -> bool:
-    """Returns whether a light at ``position`` explains the shading about as well as lights beside it, or better."""
+    """Returns whether ``trace``, of a light at ``position``, explains the shading as well as lights beside it do.
+
+    It must explain at least `LIGHT_ELSEWHERE` of the variance that the best of six lights explains, which are at
+    `TRACE_NEAREST` emitter sizes from it along the axes.
+    """
     steps = TRACE_NEAREST * emitter * np.concatenate([np.eye(3), -np.eye(3)])
     beside = [_trace(shading, *_cosines_to(shading.surfaces, position + step, emitter)).share for step in steps]
     return trace.share >= LIGHT_ELSEWHERE * max(beside)
 
 
 def _is_low(positions: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
-    """Returns which of R positions are level with or below the character, shape (R,); none if the ground is unknown."""
+    """Returns which of R positions are less than one emitter size above the character, (R,).
+
+    All are False where `ground_direction` is too short to tell what is down.
+    """
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     if length < TRACE_GROUND_MIN:
@@ -568,8 +581,8 @@ def _trace(shading: Shading, irradiance: Doubles, counted: Flags) -> Trace:
 
 
 _RING = [offset for offset in itertools.product(range(-2, 3), repeat=3) if max(map(abs, offset)) == 2]
-"""Offsets of the cells that form a candidate's surroundings: a shell around 3 x 3 x 3 cells that hold its light
-source."""
+"""Offsets, in cells, of the 98 cells around a block of 3 x 3 x 3: the block holds a candidate light, its shell of 5 x
+5 x 5 cells the surroundings with which the candidate is compared."""
 
 _CELL_BITS = 21
 
@@ -577,7 +590,7 @@ _CELL_BITS = 21
 def surrounding_scores(
     means: npt.NDArray[np.floating], scores: npt.NDArray[np.floating], rows: npt.NDArray[np.integer], size: float
 ) -> npt.NDArray[np.float64]:
-    """Returns the root mean square score around some Gaussians, in the octant where it is largest.
+    """Returns the root mean square score (brightness) around R Gaussians, in the octant where it is largest.
 
     Space is divided into cubic cells of side ``size``. A Gaussian's cell and the adjacent cells hold its light source,
     if the source is no larger than ``size``. The shell of cells around them is the Gaussian's surroundings, divided

@@ -1,6 +1,6 @@
-"""Reflection lobes of rough dielectrics for light from parts of the hemisphere (docs/method/delighting.md#roughness).
+"""Kernel that tabulates reflection lobes of rough dielectrics (docs/method/delighting.md#roughness).
 
-A thread handles one combination of roughness, view and bin of directions, and integrates over the bin's samples.
+Each thread integrates one roughness, one view and one bin of incident directions over the bin's samples.
 """
 
 import warp as wp
@@ -24,8 +24,8 @@ def tabulate_lobes(
     """Tabulates diffuse and specular radiance of a surface with albedo 1 and normal z, per irradiance / pi of a bin.
 
     Args:
-        start: Index of the first combination of roughness, view and bin.
-        spread: Added to the squared GGX alpha of highlights, for the distance between samples.
+        start: Index of the combination of roughness, view and bin that thread 0 handles.
+        spread: Added to alpha^2 of highlights' GGX lobes, so that no lobe falls between two samples.
         roughness: Roughness of R surfaces, (R,).
         views: M unit view directions, (M,).
         samples: S directions in each of Q bins, (Q, S).

@@ -26,20 +26,21 @@ from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.ops.neighbours import Pairs
 
 ROUGHNESS_UNKNOWN = 0.8
-"""Roughness of Gaussians whose highlights do not determine it."""
+"""Roughness assigned where a capture shows no highlight from which to fit it."""
 
 ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
-"""Trial values of roughness. Below the first one, highlights in SH of degree 3 no longer change."""
+"""Roughnesses that the fit tries. Below the first one, highlights in SH of degree 3 no longer change."""
 
 ROUGHNESS_ROWS = 2048
-"""Number of Gaussians processed at once, about 100 MB."""
+"""Number of Gaussians whose roughness is fitted at once, in about 100 MB."""
 
 LOBE_VIEWS = 96
 """Number of views of the upper hemisphere in which colours are compared. With too few, the part of a sharp highlight
 that SH cannot represent aliases: 24 views give roughness 0.3 as 0.4, 48 give 0.33."""
 
 VIEW_COSINE_LEAST = 0.2
-"""Smallest cosine between normal and view of the compared views, because captures lack grazing views of Gaussians."""
+"""Smallest cosine between the normal and a view in which colours are compared, because captures lack grazing views of
+Gaussians."""
 
 BIN_RINGS = 8
 """Number of rings of equal solid angle into which incident light is binned."""
@@ -48,20 +49,21 @@ BIN_SECTORS = 20
 """Number of equal sectors in each ring; bins are 11 degrees wide."""
 
 BIN_SAMPLES = 4
-"""Number of directions along each side of a bin over which the lobes are integrated."""
+"""Number of sample directions along each side of a bin of incident light, over which reflection lobes are integrated.
+"""
 
 ALBEDO_STEPS = 4
-"""Number of Gauss-Newton steps to the best albedo for a roughness."""
+"""Number of Gauss-Newton steps that fit a Gaussian's albedo for each trial roughness."""
 
 HIGHLIGHT_NOISE = 0.008
 """Smallest expected error of captured colours, display-referred: 2 of 255."""
 
 SAME_ALBEDO = 0.1
-"""Standard deviation of the albedo difference, natural logarithm, in the weight of neighbours: similar albedos suggest
-one material."""
+"""Standard deviation, in natural logarithms of albedo, of the weight with which neighbours share fit errors: similar
+albedos suggest one material."""
 
 SAME_NORMALS = 4
-"""Exponent of the cosine between normals, in the weight of neighbours."""
+"""Exponent of the cosine between normals in the weight with which neighbouring Gaussians share fit errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,13 +71,14 @@ class Roughness:
     """Estimated roughness of N Gaussians."""
 
     value: FloatArray
-    """Roughness, 0..1, shape (N,)."""
+    """Perceptual roughness of each Gaussian, 0..1, shape (N,); it tends to 0.8 where the confidence is low."""
     confidence: FloatArray
-    """Confidence, 0..1, shape (N,): how much highlights narrow down the roughness. At 0 it is `ROUGHNESS_UNKNOWN`."""
+    """1 minus the variance of the roughness's likelihood over that of a uniform one, 0..1, shape (N,); at 0 the
+    roughness is `ROUGHNESS_UNKNOWN`."""
 
     @staticmethod
     def unknown(count: int) -> Roughness:
-        """Returns `ROUGHNESS_UNKNOWN` with confidence 0, for ``count`` Gaussians without view dependence."""
+        """Returns roughness `ROUGHNESS_UNKNOWN` with confidence 0 for each of ``count`` Gaussians."""
         value = read_only_view(np.full(count, ROUGHNESS_UNKNOWN, np.float32))
         return Roughness(value, read_only_view(np.zeros(count, np.float32)))
 
@@ -123,7 +126,7 @@ class RoughnessFit:
         Args:
             rows: Indices of the n Gaussians.
             arriving: Irradiance over pi from each of Q bins, shape (n, Q, 3).
-            wider: Weights from `widened`, shape (n, R, R).
+            wider: Weights of `widened` that account for varying normals, shape (n, R, R).
 
         Returns:
             Errors, shape (n, R), and albedos, shape (n, R, 3).
@@ -148,13 +151,16 @@ class RoughnessFit:
         return np.einsum("nrs,ns->nr", wider, np.stack(misfits, axis=1)), wider @ np.stack(albedos, axis=1)
 
     def _errors(self, linear: Doubles, captured: Doubles) -> tuple[Doubles, Doubles]:
-        """Returns errors of SH-projected display values in the compared views, and the slopes of sRGB in all views."""
+        """Returns errors of modelled display colours in the compared views, and slopes of the sRGB curve in all views.
+
+        The model's colours, given as linear radiance, are clipped, encoded and projected onto SH before the comparison.
+        """
         displayed, slope = _displayed(linear)
         projection = np.tensordot(self.lobes.projection, displayed - 0.5, (1, 0)) + 0.5
         return (projection - captured)[self.lobes.compared], slope
 
     def _captured(self, rows: Rows) -> Doubles:
-        """Returns display-referred colours of n Gaussians in M views, shape (M, n, 3)."""
+        """Returns the captured display colours of the n Gaussians ``rows`` in M views of their hemispheres."""
         some = self.gaussians.subset(rows)
         directions = np.einsum("nij,mj->mni", frames_of(self.normals[rows]), self.lobes.views)
         return np.array(
@@ -163,7 +169,7 @@ class RoughnessFit:
         )
 
     def _pooled(self, misfit: Doubles, albedo: Doubles) -> Doubles:
-        """Averages the errors of R roughnesses over neighbours with similar normals and albedo, shape (N, R)."""
+        """Averages each of R roughnesses' errors over neighbours with similar normals and albedo, shape (N, R)."""
         first, second = self.near.first, self.near.second
         logs = np.log(np.maximum(albedo, RADIANCE_LEAST))
         apart = np.abs(logs[first] - logs[second]).max(axis=1) / SAME_ALBEDO
@@ -174,7 +180,7 @@ class RoughnessFit:
         return np.stack(sums, axis=1) / total[:, None]
 
     def _probabilities(self, misfit: Doubles) -> Doubles:
-        """Returns the probability of each of R roughnesses, (N, R); the smallest error counts as the noise level."""
+        """Returns the probability of each of R roughnesses, (N, R); a Gaussian's smallest error counts as noise."""
         least = misfit.min(axis=1, keepdims=True)
         coefficients = (self.gaussians.sh_degree + 1) ** 2 - 1
         probabilities = np.exp(-0.5 * coefficients * (misfit - least) / np.maximum(least, HIGHLIGHT_NOISE**2))
@@ -182,11 +188,11 @@ class RoughnessFit:
 
 
 def widened(variances: Doubles) -> Doubles:
-    """Returns weights of R roughnesses that replace each roughness where normals vary, shape (N, R, R).
+    """Returns interpolation weights for a wider lobe at each trial roughness, where normals vary, shape (N, R, R).
 
-    Surfaces with varying normals look rougher. Slopes of microfacets have the variance alpha^2 / 2 along an axis, to
-    which the variance of the normals is added (Toksvig 2005): alpha^2 + 2 variances. Cubics (Lagrange) interpolate
-    between roughnesses of the grid.
+    Row r of a Gaussian holds the weights of the R trial roughnesses that interpolate values at the wider roughness.
+    Slopes of microfacets have the variance alpha^2 / 2 along an axis, to which the variance of the normals is added
+    (Toksvig 2005): alpha^2 + 2 variances. Cubics (Lagrange) interpolate between roughnesses of the grid.
 
     Args:
         variances: Variances of normals within N Gaussians, radians^2 along an axis, shape (N,).
@@ -208,8 +214,8 @@ def arriving_light(normals: Doubles, cells: EnvironmentCells, incident: Irradian
     Args:
         normals: Unit normals, shape (N, 3).
         cells: Environment cells.
-        incident: Irradiance by source, with the light from the capture stored by direction.
-        light: Estimated radiances.
+        incident: Irradiance by source; its ``by_direction`` must be stored.
+        light: Estimated radiances of the environment cells.
     """
     frames, rows = frames_of(normals), np.arange(len(normals))
     arriving = np.zeros((len(normals), BIN_RINGS * BIN_SECTORS, 3), np.float32)
@@ -225,7 +231,7 @@ def arriving_light(normals: Doubles, cells: EnvironmentCells, incident: Irradian
 
 
 def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns display values of linear light, clipped at 1, and their derivatives with respect to linear light."""
+    """Returns sRGB values of linear light clipped at 1, and their derivatives with respect to it, 0 where clipped."""
     inside = np.clip(linear, RADIANCE_LEAST, 1.0)
     displayed = np.asarray(encode_srgb(inside), np.float64)
     # Derivative of the sRGB power law: 1.055 / 2.4 x^(1 / 2.4 - 1) = (displayed + 0.055) / (2.4 x).
@@ -238,17 +244,18 @@ class Lobes:
     """Reflection tables for R roughnesses, M views and Q bins of incident directions, around a normal along z."""
 
     views: Doubles
-    """Unit view directions, shape (M, 3)."""
+    """Unit view directions in the local frame whose z axis is the normal, shape (M, 3)."""
     matt: Doubles
-    """Diffuse radiance towards a view for albedo 1, per irradiance over pi from a bin, shape (R, M, Q)."""
+    """Diffuse radiance of albedo 1 towards each view, per irradiance / pi from each bin of directions, shape (R, M,
+    Q)."""
     highlight: Doubles
-    """Specular radiance towards a view, per irradiance over pi from a bin, shape (R, M, Q)."""
+    """Specular radiance towards each view, per irradiance / pi from each bin of directions, shape (R, M, Q)."""
     projection: Doubles
     """Matrix that projects colours in the M views onto SH of the capture's degree and back, shape (M, M)."""
 
     @staticmethod
     def of(degree: int) -> Lobes:
-        """Computes the tables for an SH degree, on the CPU, so that all devices use equal tables."""
+        """Tabulates the lobes for captures of SH degree ``degree``, on the CPU for equal results on all devices."""
         launcher = Launcher("cpu")
         buffers, samples, views = Buffers("cpu"), bin_samples(), _views()
         shape = len(ROUGHNESS_GRID), len(views), len(samples)
@@ -268,11 +275,11 @@ class Lobes:
 
     @property
     def compared(self) -> Flags:
-        """True for views in which colours are compared, those that are not grazing, shape (M,)."""
+        """True for views with a cosine above `VIEW_COSINE_LEAST`, shape (M,); only in these, colours are compared."""
         return self.views[:, 2] > VIEW_COSINE_LEAST
 
     def in_constant_environment(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
-        """Returns median diffuse and specular radiance over the views, in a constant environment of radiance 1.
+        """Returns diffuse and specular radiance, median over the views, in a constant environment of radiance 1.
 
         The diffuse radiance is for albedo 1.
 
@@ -302,7 +309,7 @@ def frames_of(normals: Doubles) -> Doubles:
 
 
 def bins_of(directions: Doubles) -> Rows:
-    """Returns the bin of each of N local directions above the horizon, (N,): equal sectors of rings of equal height."""
+    """Returns the bin of each of N local directions with z > 0, (N,): rings of equal height, times equal sectors."""
     ring = np.clip(directions[:, 2] * BIN_RINGS, 0, BIN_RINGS - 1).astype(int)
     sector = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) * BIN_SECTORS).astype(int)
     return ring * BIN_SECTORS + sector % BIN_SECTORS

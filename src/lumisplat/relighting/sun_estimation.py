@@ -24,37 +24,40 @@ SUN_DIRECTIONS = 320
 """Number of directions of the coarse search for the sun, 11 degrees apart."""
 
 SUN_REFINED = 24
-"""Number of directions around the best direction that each of two refinements tests."""
+"""Number of directions around the best one that each of the two refinements of the sun's direction tests."""
 
 SUN_SHARE = 0.05
-"""Smallest fraction that a sun explains of the luminance variance that a smooth environment leaves unexplained."""
+"""Smallest fraction of the surfaces' luminance variance, left by a smooth environment of SH degree 1, that a sun must
+explain."""
 
 SUN_SIGNIFICANCE = 6.0
-"""Smallest ratio of a sun's regression coefficient to its standard error."""
+"""Smallest ratio of the regression coefficient of a sun's irradiance to its standard error for the sun to be accepted.
+"""
 
 SUN_SHARE_BEYOND = 0.025
-"""Smallest fraction that a sun explains of the luminance variance that an environment of SH degree 2 leaves
-unexplained. Degree 1 does not represent an overcast sky, which is brightest at its top."""
+"""Smallest fraction of the surfaces' luminance variance, left by an environment of SH degree 2, that a sun must
+explain. Degree 1 cannot represent an overcast sky, which is brightest at its top."""
 
 SUN_SIGNIFICANCE_BEYOND = 4.0
-"""Smallest ratio of a sun's regression coefficient to its standard error, in a regression with an environment of SH
+"""Smallest ratio of the regression coefficient of a sun's irradiance to its standard error beside an environment of SH
 degree 2."""
 
 SUN_LIFT = 6.0
-"""Height above the ground, in voxels, of the point from which open directions are tested: above objects on the ground.
+"""If the capture's centre is inside an object or the ground, the ground is sought from a point this many voxels above.
 """
 
 SUN_LIT_MIN = 0.05
-"""Smallest fraction of surfaces that a sun reaches; light through a gap of a closed room reaches a smaller fraction."""
+"""Smallest fraction of the surfaces that a sun must reach unshadowed; light through a gap of a closed room reaches
+less."""
 
 SUN_APART = 0.7
-"""Cosine of the angle beyond which a direction counts as another candidate for the sun."""
+"""Directions whose cosine to the best sun direction is below this (more than 45 degrees away) count as rival suns."""
 
 SUN_CONFIDENCE_MIN = 0.2
-"""Confidence below which no sun is returned."""
+"""Smallest `SunEstimate.confidence` of a sun that `estimate_sun` returns; below, it returns None."""
 
 SUN_ANNOUNCED_S = 1.0
-"""Seconds after which a search for the sun starts to report its progress."""
+"""Seconds that a search for the sun runs before it reports progress; shorter searches report none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,11 +67,12 @@ class SunEstimate:
     light: LightDirectional
     """Light named ``estimated-sun``, white, of 1 lux: the intensity is not estimated."""
     confidence: float
-    """Confidence, 0..1: 1 if no sun at least 45 degrees away explains anything, 0 if another sun explains as much."""
+    """1 minus the ratio of the variance that the best sun over 45 degrees away explains to that of this sun, at most
+    1; 0 if both explain the same."""
     share: float
-    """Fraction that the sun explains of the luminance variance that a smooth environment leaves, 0..1."""
+    """Fraction of the surfaces' luminance variance, left by a smooth environment, that the sun explains, 0..1."""
     significance: float
-    """Ratio of the sun's regression coefficient to its standard error."""
+    """Regression coefficient of the sun's irradiance on surfaces, over its standard error."""
 
 
 def estimate_sun(
@@ -124,9 +128,9 @@ def estimate_sun(
 
 
 def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, progress: Progress | None) -> Doubles:
-    """Returns the cosines of M surfaces towards each of D directions, 0 in shadow, shape (M, D).
+    """Returns the cosine of each of M surfaces' normals to each of D directions, 0 in shadow, shape (M, D).
 
-    This is the expensive part, so it reports its progress, some time after ``started``.
+    This takes most of the search's time; from `SUN_ANNOUNCED_S` after ``started`` on it reports progress.
     """
     columns: list[Doubles] = []
     is_announced = False
@@ -141,9 +145,10 @@ def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, pr
 
 
 def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
-    """Returns the position; if it is inside an object or the ground, a point `SUN_LIFT` voxels above it instead.
+    """Returns ``position`` if 5 % of the directions from it are free, else the point `SUN_LIFT` voxels above it.
 
-    Up is the side of the flattest plane through the surfaces from which objects stand out.
+    Up is the thin axis of the surfaces' positions, on the side to which their heights are skewed: objects stand out
+    there.
     """
     directions = even_directions(TRACE_DIRECTIONS)
     if surfaces.cells.is_free(np.broadcast_to(position, directions.shape), directions).mean() >= SUN_LIT_MIN:
@@ -155,14 +160,14 @@ def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
 
 
 def _is_above_ground(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> Flags:
-    """Returns which of D directions do not come from below the ground, shape (D,); all if the ground is unknown."""
+    """Returns which of D directions to a sun point above the ground plane, (D,); all if the ground is unknown."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     return directions @ down < 0.0 if length >= TRACE_GROUND_MIN else np.ones(len(directions), np.bool_)
 
 
 def _refined(shading: Shading, direction: Doubles, trace: Trace) -> tuple[Doubles, Trace]:
-    """Searches in two refinements around ``direction``; returns the best direction and the evidence for it."""
+    """Tests directions up to 11, then up to 3 degrees from ``direction``; returns the best and its evidence."""
     for width in (np.sqrt(4.0 * np.pi / SUN_DIRECTIONS), 0.3 * np.sqrt(4.0 * np.pi / SUN_DIRECTIONS)):
         around = direction + width * even_directions(SUN_REFINED)
         around /= np.linalg.norm(around, axis=1, keepdims=True)

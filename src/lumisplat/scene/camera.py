@@ -24,7 +24,7 @@ DISTORTION_MAX = 1e9
 polynomial stays finite in float64."""
 
 _RIGID_ERROR = 1e-3
-"""Largest error allowed in the scalar products of a pose's rotation rows, which are 1 or 0 for an exact rotation."""
+"""Largest accepted deviation of ``R R^T`` from the identity, for the rotation R of a camera pose."""
 
 
 class CameraModel(Enum):
@@ -76,8 +76,8 @@ class Camera:
     """World-to-camera pose for column vectors, rigid, shape (4, 4); with a rolling shutter, the pose at the start of
     the first row."""
     near: Annotated[float, Range(0.0, unit="scene units", above=True)] = NEAR_PLANE
-    """Near plane: nothing is drawn at a smaller view depth (fisheye: at a smaller distance from the eye). The default
-    is halved until it is at most a thousandth of the largest asset's size."""
+    """Near plane: surfaces at a smaller view depth (for a fisheye: distance from the eye) are not drawn. The default
+    is halved until it is at most a thousandth of the size of the scene's largest capture or mesh."""
     name: str = ""
     """Name of the frame; in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE
@@ -285,7 +285,10 @@ class Camera:
         return np.asarray(np.linalg.inv(end), dtype=np.float64)
 
     def _shutter_sine_cosine(self) -> tuple[Doubles, float]:
-        """Returns the shutter's rotation: axis times sine of the angle (exactly 0 without rotation), and cosine."""
+        """Returns the rotation from first to last row: world-space axis times sine of its angle, and cosine.
+
+        The first is exactly 0 without rotation.
+        """
         first, last = self.world_from_camera[:3, :3].T, self._world_from_camera_end[:3, :3].T
         return 0.5 * np.cross(first, last).sum(axis=0), 0.5 * (float(np.sum(first * last)) - 1.0)
 
@@ -311,7 +314,7 @@ def checked_window(window: object, width: int, height: int) -> tuple[int, int, i
 
 
 def _cuts(name: str, parts: object, size: int) -> list[int]:
-    """Returns the pixel positions that cut a side of ``size`` pixels into ``parts`` ranges, with 0 and ``size``."""
+    """Returns pixel positions, from 0 to ``size``, that cut an image side of ``size`` pixels into ``parts`` windows."""
     steps = -(-size // WINDOW_STEP)
     if not is_number(parts) or parts != int(parts) or not 1 <= parts <= steps:
         raise SceneError(f"{name} is {parts}, expected 1 to {steps}: {size} pixels are cut in steps of {WINDOW_STEP}")

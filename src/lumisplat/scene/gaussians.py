@@ -62,13 +62,13 @@ class Gaussians:
     """SH coefficients of display-referred sRGB in INRIA's order and signs, shape (N, K, 3) with K = 1, 4, 9 or 16
     coefficients per channel. The colour is max(SH sum + 0.5, 0)."""
     normals: FloatArray | None = given(converter=to_floats_or_none, default=None)
-    """Unit surface normals in object space, shape (N, 3)."""
+    """Unit surface normals in object space, shape (N, 3); None: not stored, and lighting uses the shortest axes."""
     albedo: FloatArray | None = given(converter=to_floats_or_none, default=None)
-    """Linear Rec.709 base colour, 0..1, shape (N, 3)."""
+    """Linear Rec.709 base colour, 0..1, shape (N, 3); None: lighting uses the decoded captured colour instead."""
     roughness: FloatArray | None = given(converter=to_floats_or_none, default=None)
-    """Perceptual roughness, 0..1, shape (N,)."""
+    """Perceptual roughness, 0..1, shape (N,); None: lighting uses the roughness of the material."""
     metallic: FloatArray | None = given(converter=to_floats_or_none, default=None)
-    """Metalness, 0..1, shape (N,)."""
+    """Metalness, 0..1, shape (N,); None: lighting uses the metalness of the material."""
     antialiased: bool = field(default=False, kw_only=True)
     """True if the capture was trained with Mip-Splatting's opacity compensation, and must be rendered with it."""
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] = field(default=KERNEL_DEGREE, kw_only=True)
@@ -89,9 +89,9 @@ class Gaussians:
     ``focus_distance``. None: unknown."""
 
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
-    """World position of the capture's coordinate origin, scene units, float64; an instance may override it. Captures
-    in map coordinates store means and first view relative to this origin, because float32 positions would be 0.5 apart
-    there."""
+    """World position of the capture's coordinate origin, scene units, float64; a transform given to an instance
+    replaces it. Means and first view of captures in map coordinates are relative to it: float32 would round absolute
+    positions to 0.5 units."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -216,10 +216,10 @@ def _with_origin(gaussians: Gaussians, origin: Vector) -> Gaussians:
 
 
 def moved_orientation(gaussians: Gaussians, new_from_old: Doubles) -> dict[str, Any]:
-    """Returns the fields ``up`` and ``first_view`` of a capture after an affine transform, shape (4, 4).
+    """Returns ``up`` and ``first_view`` of a capture after an affine transform, shape (4, 4), as a dict of fields.
 
-    Directions rotate by the rotation nearest to the matrix; the first view's eye and target move with the capture. The
-    result is empty if the capture has neither.
+    ``up`` is rotated by the rotation nearest to the matrix; the first view's eye and target are transformed as points.
+    A field that is None in the capture is left out.
     """
     if gaussians.up is None and gaussians.first_view is None:
         return {}

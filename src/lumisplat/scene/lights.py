@@ -39,7 +39,7 @@ def vector(name: str, values: npt.ArrayLike) -> Vector:
 
 
 def to_vector(values: npt.ArrayLike, name: str = "vector") -> Vector:
-    """Converts three finite numbers of a field to a vector, with `vector`."""
+    """Converts three finite numbers to a vector: the form of `vector` that dataclass fields use as their converter."""
     return vector(name, values)
 
 
@@ -57,10 +57,10 @@ def direction_of(name: str, values: npt.ArrayLike) -> Vector:
 
 
 def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.ArrayLike | None) -> Vector:
-    """Returns the unit vector of ``direction``, or else the direction from ``start`` to ``target``.
+    """Returns the unit vector of ``direction``, or from ``start`` to ``target``; ``kind`` names the light in errors.
 
     Raises:
-        SceneError: Direction and target are both given, or neither, or the target is at the start.
+        SceneError: ``direction`` (not 0) and ``target`` are both given, or neither is, or ``target`` equals ``start``.
     """
     is_given = bool(np.any(np.asarray(vector("direction", direction)) != 0.0))
     if target is None:
@@ -78,7 +78,7 @@ def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.Arra
 def facing_edges(
     position: Vector, edges: tuple[Vector, Vector], target: npt.ArrayLike | None, size: npt.ArrayLike | None
 ) -> tuple[Vector, Vector]:
-    """Returns the edges of a rectangle that faces ``target``; ``edge_u`` is horizontal, with y as the vertical.
+    """Returns two edges, ``size`` (width, height) long, of a rectangle that faces ``target``; the first is horizontal.
 
     Raises:
         SceneError: Only one of target and size is given, edges are given in addition, or the size is not positive.
@@ -98,7 +98,7 @@ def facing_edges(
 
 
 RIGHT_ANGLE = math.pi / 2.0 + 1e-6
-"""Largest angle from a light's axis, radians: a right angle with a tolerance for rounding."""
+"""Upper limit, radians, of cone angles and of a sun's angular radius: pi / 2 with a tolerance for rounding."""
 
 
 def _radiance(values: npt.ArrayLike | None, name: str = "image") -> FloatArray | None:
@@ -164,14 +164,14 @@ class LightPoint:
     enabled: bool = field(default=True, kw_only=True)
     """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Let objects block the light; without, it passes through everything."""
+    """Whether objects block the light; False: it shines through everything."""
     name: str = field(default="", kw_only=True)
-    """Name of the light, also of its layers."""
+    """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
 
     __post_init__ = take_scene_fields
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards N points with ``intensity`` 1 and all light coming from the centre, (N,).
+        """Returns the candela that a light of ``intensity`` 1 emits from its centre towards N points, shape (N,).
 
         Args:
             offsets: Points minus the light's position, scene units, shape (N, 3).
@@ -212,9 +212,9 @@ class LightSpot:
     enabled: bool = field(default=True, kw_only=True)
     """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Let objects block the light; without, it passes through everything."""
+    """Whether objects block the light; False: it shines through everything."""
     name: str = field(default="", kw_only=True)
-    """Name of the light, also of its layers."""
+    """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """Point that the light aims at, world position, shape (3,); replaces ``direction``."""
 
@@ -228,7 +228,11 @@ class LightSpot:
             )
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards N points, shape (N,), as `LightPoint.candela` defines it."""
+        """Returns the candela that a spot of ``intensity`` 1 emits towards N points, shape (N,).
+
+        Args:
+            offsets: Points minus the spot's position, scene units, shape (N, 3).
+        """
         distance2 = _squared(offsets)
         inner, outer = math.cos(self.inner_angle), math.cos(self.outer_angle)
         cosine = offsets @ np.array(self.direction) / np.sqrt(distance2)
@@ -260,14 +264,14 @@ class LightDirectional:
     enabled: bool = field(default=True, kw_only=True)
     """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Let objects block the light; without, it passes through everything."""
+    """Whether objects block the light; False: it shines through everything."""
     shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
         default=math.inf, kw_only=True
     )
     """Largest distance from a surface at which objects cast shadows on it. A finite value lets light pass the
     Gaussians of a captured sky."""
     name: str = field(default="", kw_only=True)
-    """Name of the light, also of its layers."""
+    """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """World position from which the light travels towards ``target``, at any distance; replaces ``direction``."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
@@ -308,18 +312,18 @@ class LightSphere:
     enabled: bool = field(default=True, kw_only=True)
     """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Let objects block the light; without, it passes through everything."""
+    """Whether objects block the light; False: it shines through everything."""
     visible: bool = field(default=True, kw_only=True)
     """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
     light.
     """
     name: str = field(default="", kw_only=True)
-    """Name of the light, also of its layers."""
+    """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
 
     __post_init__ = take_scene_fields
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards N points, shape (N,), as `LightPoint.candela` defines it."""
+        """Returns the candela that a sphere of ``intensity`` 1 emits towards N points, ``pi radius^2``, shape (N,)."""
         return np.full(len(offsets), math.pi * self.radius**2)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
@@ -362,13 +366,13 @@ class LightRect:
     enabled: bool = field(default=True, kw_only=True)
     """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Let objects block the light; without, it passes through everything."""
+    """Whether objects block the light; False: it shines through everything."""
     visible: bool = field(default=True, kw_only=True)
     """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
     light.
     """
     name: str = field(default="", kw_only=True)
-    """Name of the light, also of its layers."""
+    """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """Point that the light faces, world position, shape (3,); with ``size``, replaces the edges."""
     size: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
@@ -386,7 +390,7 @@ class LightRect:
 
     @property
     def area_vector(self) -> Doubles:
-        """Normal of the emitting side, scaled to the light's area, shape (3,)."""
+        """Normal of the emitting side times the rectangle's area, world space, shape (3,)."""
         return np.asarray(np.cross(self.edge_u, self.edge_v), np.float64)
 
     def boundary(self) -> Doubles:
@@ -395,17 +399,21 @@ class LightRect:
         return np.array([self.position + 0.5 * (a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
 
     def covers(self, offsets: Doubles) -> Flags:
-        """Returns which points of the light's plane lie on the light, shape (N,).
+        """Returns whether each of N points of the rectangle's plane lies inside the rectangle, shape (N,).
 
         Args:
-            offsets: Points in the light's plane minus the light's centre, shape (N, 3).
+            offsets: Points in the rectangle's plane minus its centre, world space, shape (N, 3).
         """
         across = self.area_vector
         shares = np.abs([np.cross(offsets, self.edge_v) @ across, np.cross(self.edge_u, offsets) @ across])
         return np.asarray((shares / (across @ across) <= 0.5).all(axis=0))
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards N points, shape (N,), as `LightPoint.candela` defines it."""
+        """Returns the candela that radiance 1 sends towards N points: area times cosine, shape (N,).
+
+        Args:
+            offsets: Points minus the rectangle's centre, scene units, shape (N, 3).
+        """
         return _flat_candela(self, offsets)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
@@ -439,13 +447,13 @@ class LightDisk:
     enabled: bool = field(default=True, kw_only=True)
     """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Let objects block the light; without, it passes through everything."""
+    """Whether objects block the light; False: it shines through everything."""
     visible: bool = field(default=True, kw_only=True)
     """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
     light.
     """
     name: str = field(default="", kw_only=True)
-    """Name of the light, also of its layers."""
+    """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """Point that the light faces, world position, shape (3,); replaces ``direction``."""
 
@@ -455,7 +463,7 @@ class LightDisk:
 
     @property
     def area_vector(self) -> Doubles:
-        """Normal of the emitting side, scaled to the light's area, shape (3,)."""
+        """Normal of the emitting side times the disk's area, world space, shape (3,)."""
         return math.pi * self.radius**2 * np.array(self.direction)
 
     def boundary(self) -> Doubles:
@@ -466,15 +474,19 @@ class LightDisk:
         return self.position + self.radius * (np.cos(angles) * u + np.sin(angles) * np.cross(normal, u))
 
     def covers(self, offsets: Doubles) -> Flags:
-        """Returns which points of the light's plane lie on the light, shape (N,).
+        """Returns whether each of N points of the disk's plane lies inside the disk, shape (N,).
 
         Args:
-            offsets: Points in the light's plane minus the light's centre, shape (N, 3).
+            offsets: Points in the disk's plane minus its centre, world space, shape (N, 3).
         """
         return np.asarray((offsets**2).sum(axis=1) <= self.radius**2)
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns the intensity towards N points, shape (N,), as `LightPoint.candela` defines it."""
+        """Returns the candela that radiance 1 sends towards N points: area times cosine, shape (N,).
+
+        Args:
+            offsets: Points minus the disk's centre, scene units, shape (N, 3).
+        """
         return _flat_candela(self, offsets)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
@@ -508,18 +520,18 @@ class LightEnvironment:
     """World-from-environment rotation, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), 180 degrees
     about x."""
     visible: bool = True
-    """Show the environment as the background; mirrors always show it."""
+    """Show the environment as the background of frames; mirrors reflect it whether it is visible or not."""
     enabled: bool = field(default=True, kw_only=True)
     """Let the light shine."""
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Let objects block the light; without, it passes through everything."""
+    """Whether objects block the light; False: it shines through everything."""
     shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
         default=math.inf, kw_only=True
     )
     """Largest distance from a surface at which objects cast shadows on it. A finite value lets light pass the
     Gaussians of a captured sky."""
     name: str = field(default="", kw_only=True)
-    """Name of the light, also of its layers."""
+    """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
 
     __post_init__ = take_scene_fields
 
@@ -544,7 +556,7 @@ for them."""
 
 
 def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles:
-    """Returns the unshadowed irradiance of surfaces that face a light, as if the light were a point at its position.
+    """Returns the unshadowed irradiance at N points on surfaces turned towards a light, the light taken as a point.
 
     The formulas are those of device/light/light.py for hard shadows.
 
@@ -584,12 +596,12 @@ def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light
 
 
 def _squared(offsets: Doubles) -> Doubles:
-    """Returns squared lengths of N vectors, clamped to the square of the smallest distance to a light, shape (N,)."""
+    """Returns the squared lengths of N offsets from a light, at least `LIGHT_DISTANCE_MIN` squared, shape (N,)."""
     return np.maximum(np.einsum("ij,ij->i", offsets, offsets), LIGHT_DISTANCE_MIN**2)
 
 
 def _window(reach: float, distance2: Doubles) -> Doubles:
-    """Returns the fade towards a light's range (glTF, KHR_lights_punctual), a factor, from squared distances."""
+    """Returns glTF's factor that fades light towards its range, ``clamp(1 - (distance / reach)^4, 0, 1)``, (N,)."""
     return np.clip(1.0 - (distance2 / reach**2) ** 2, 0.0, 1.0)
 
 

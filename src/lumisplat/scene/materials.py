@@ -26,7 +26,7 @@ Texture = npt.NDArray[np.uint8]
 
 
 class TextureWrap(Enum):
-    """Texture wrap mode: continuation of a texture outside texture coordinates 0..1."""
+    """Texture wrap mode: how a texture continues where texture coordinates leave 0..1."""
 
     REPEAT = "repeat"
     """Repeat the texture."""
@@ -155,42 +155,44 @@ class MaterialPbr:
     base_color_texture: Texture | None = given(converter=to_texture, default=None)
     """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); the fourth channel is alpha."""
     metallic_roughness_texture: Texture | None = given(converter=to_texture, default=None)
-    """Factors of roughness (green) and metallic (blue), linear."""
+    """Linear texture whose green channel multiplies ``roughness`` and whose blue channel multiplies ``metallic``."""
     normal_texture: Texture | None = given(converter=to_texture, default=None)
     """Tangent-space normals ``2 c - 1``: x along u, y against v, z away from the surface."""
     normal_scale: Annotated[float, Range()] = 1.0
     """Factor of x and y of the normal texture."""
     occlusion_texture: Texture | None = given(converter=to_texture, default=None)
-    """Fraction of the environment's light that reaches the surface (red)."""
+    """Red channel: fraction of the environment's light that reaches the surface (glTF's ambient occlusion), linear."""
     occlusion_strength: Share = 1.0
-    """Strength of the occlusion."""
+    """Blend between no occlusion (0) and the occlusion texture's values (1)."""
     emissive_texture: Texture | None = given(converter=to_texture, default=None)
-    """sRGB-encoded factor of ``emissive``."""
+    """sRGB-encoded texture that multiplies ``emissive``."""
     transmission_texture: Texture | None = given(converter=to_texture, default=None)
-    """Factor of ``transmission`` (red), linear."""
+    """Linear texture whose red channel multiplies ``transmission``."""
     clearcoat_texture: Texture | None = given(converter=to_texture, default=None)
-    """Factor of ``clearcoat`` (red), linear."""
+    """Linear texture whose red channel multiplies ``clearcoat``."""
     clearcoat_roughness_texture: Texture | None = given(converter=to_texture, default=None)
-    """Factor of ``clearcoat_roughness`` (green), linear."""
+    """Linear texture whose green channel multiplies ``clearcoat_roughness``."""
     sheen_color_texture: Texture | None = given(converter=to_texture, default=None)
-    """sRGB-encoded factor of ``sheen_color``."""
+    """sRGB-encoded texture that multiplies ``sheen_color``."""
     sheen_roughness_texture: Texture | None = given(converter=to_texture, default=None)
-    """Factor of ``sheen_roughness`` (alpha), linear."""
+    """Linear texture whose alpha channel multiplies ``sheen_roughness``."""
     wrap_u: TextureWrap = TextureWrap.REPEAT
-    """Wrap mode of textures along u: a `TextureWrap` or its value, such as ``"clamp"``."""
+    """Wrap mode along u of all textures that ``texture_wraps`` does not name: a `TextureWrap` or its value, such as
+    ``"clamp"``."""
     wrap_v: TextureWrap = TextureWrap.REPEAT
-    """Wrap mode of textures along v."""
+    """Wrap mode along v of all textures that ``texture_wraps`` does not name."""
     texture_wraps: Wraps | None = None
     """Wrap modes along u and v by texture name, such as ``{"normal_texture": ("clamp", "repeat")}``; other textures
     have ``wrap_u`` and ``wrap_v``."""
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
-    """Meaning of alpha on meshes: an `AlphaMode` or its value, such as ``"mask"``."""
+    """How meshes use alpha: ``"opaque"`` ignores it, ``"mask"`` cuts out, ``"blend"`` lets the background show
+    through."""
     alpha: Share = 1.0
-    """Factor of the base colour texture's alpha."""
+    """Opacity factor: multiplies the alpha of the base colour texture; `alpha_mode` says how meshes use the product."""
     alpha_cutoff: Annotated[float, Range(0.0)] = 0.5
     """Smallest alpha at which the surface exists with ``AlphaMode.MASK``; above 1, it exists nowhere."""
     name: str = ""
-    """Name of the material, also of its matte."""
+    """Name of the material; in Cryptomatte output, also the name of its matte."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -198,7 +200,7 @@ class MaterialPbr:
 
     @property
     def is_solid(self) -> bool:
-        """True if light enters the inside of a mesh with this material."""
+        """True if refracted light travels inside a mesh with this material: transmissive, and not ``thin_walled``."""
         return self.transmission > 0.0 and not self.thin_walled
 
     @property
@@ -208,7 +210,7 @@ class MaterialPbr:
 
     @property
     def is_smooth(self) -> bool:
-        """True if rays are reflected or refracted without scattering."""
+        """True if the material reflects and refracts in single directions, as roughness 0 does, without scattering."""
         return self.roughness == 0.0
 
     @property
@@ -253,13 +255,13 @@ class MaterialSimple:
     wrap_v: TextureWrap = TextureWrap.REPEAT
     """Wrap mode of the texture along v."""
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
-    """Meaning of alpha on meshes, as in `MaterialPbr`."""
+    """How meshes use alpha: ignore it (OPAQUE), cut out (MASK) or blend with the background (BLEND)."""
     alpha: Share = 1.0
-    """Factor of the base colour texture's alpha."""
+    """Opacity factor: multiplies the alpha of the base colour texture; `alpha_mode` says how meshes use the product."""
     alpha_cutoff: Annotated[float, Range(0.0)] = 0.5
     """Smallest alpha at which the surface exists with ``AlphaMode.MASK``."""
     name: str = ""
-    """Name of the material, also of its matte."""
+    """Name of the material; in Cryptomatte output, also the name of its matte."""
 
     __post_init__ = take_scene_fields
 
@@ -270,7 +272,7 @@ class MaterialSimple:
 
     @property
     def is_smooth(self) -> bool:
-        """False: rays always scatter."""
+        """Always False: this material has no perfect mirror reflection or refraction."""
         return False
 
     @property

@@ -62,7 +62,7 @@ class Mesh:
     """Linear Rec.709 vertex colours, 0..1, multiplied with the base colour, shape (V, 3)."""
     name: str = ""
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
-    """World position of the mesh's coordinate origin, float64; an instance may override it, as for `Gaussians`."""
+    """World position of the mesh's coordinate origin, float64; a transform given to an instance replaces it."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -121,11 +121,11 @@ class Mesh:
 
 
 TRIANGLE_HEIGHT_MIN = 1e-12
-"""Ratio of a triangle's height to its longest edge at or below which it has no area. Collinear corners give 1e-16 in
-float64, thin triangles from float32 1e-7."""
+"""A triangle counts as without area if its height is at most this times its longest edge. Collinear corners give 1e-16
+in float64, and thin triangles with float32 corners 1e-7."""
 
 _BLOCK = 2**16
-"""Number of triangles checked at once, so few that their float64 corners stay in the CPU cache."""
+"""Number of triangles that `check_triangles` checks at once, so that their float64 corners fit the CPU cache."""
 
 
 class TriangleCheck(NamedTuple):

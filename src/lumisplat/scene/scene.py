@@ -25,14 +25,14 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.placing import UP_AXES, PlacedInstance, Placement, up_vector, up_vector_or_none, y_up_from
 
 BULK_TAIL = 0.02
-"""Fraction of a capture's total opacity left out of its bulk at each end of each axis, so that stray Gaussians neither
-set the view nor raise an object above the ground."""
+"""Fraction of a capture's total opacity that its bulk, the box of `Scene.bulk_bounds`, leaves out at each end of each
+axis: stray Gaussians must neither set the view nor raise an object above the ground."""
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
 
 _BINS = 2**14
-"""Number of bins into which coordinates are sorted coarsely to find a weighted quantile."""
+"""Number of histogram bins of `bulk_extent`, which sorts only the heights in the bin of a weighted quantile."""
 
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
@@ -100,9 +100,10 @@ class MeshInstance(PlacedInstance):
     world_from_object: npt.NDArray[np.float64] | None = None
     """Affine transform, shape (4, 4); None: a translation to the ``origin`` of the mesh."""
     shadow_catcher: bool = field(default=False, kw_only=True)
-    """Make the mesh a shadow catcher: only the shadows of other objects on it are visible, and on a shiny mesh also
-    their reflections. It stands for a surface of the captures, or of an image behind the frame. It hides nothing and
-    casts no shadow. A capture blocks its light only if other captures of the scene are shadow catchers."""
+    """Make the mesh a shadow catcher: the frame shows only the shadows of other objects on it, and on a shiny mesh
+    also their reflections. It stands for a surface of a capture, or of an image composited behind the frame; it hides
+    nothing and casts no shadow. Captures with a reflecting material shadow it; unlit captures do only if another
+    capture is a shadow catcher."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
@@ -136,17 +137,17 @@ def checked_lights(lights: Iterable[Light], name: str = "lights") -> tuple[Light
 
 
 def _splats(items: Iterable[SplatInstance | Gaussians], name: str = "splats") -> tuple[SplatInstance, ...]:
-    """Converts captures to instances; a `Gaussians` without an instance is placed at its origin."""
+    """Converts captures to instances; a bare `Gaussians` becomes an instance at its stored ``origin``."""
     return _instances(name, items, Gaussians, SplatInstance)
 
 
 def _meshes(items: Iterable[MeshInstance | Mesh], name: str = "meshes") -> tuple[MeshInstance, ...]:
-    """Converts meshes to instances; a `Mesh` without an instance is placed at its origin."""
+    """Converts meshes to instances; a bare `Mesh` becomes an instance at its stored ``origin``."""
     return _instances(name, items, Mesh, MeshInstance)
 
 
 def _instances(name: str, items: Iterable[object], asset: type[Any], instance: type[_Placed]) -> tuple[_Placed, ...]:
-    """Converts the entries of a list to instances; an asset without an instance is placed at its origin."""
+    """Converts entries to ``instance`` objects; entries of type ``asset`` get one at their stored ``origin``."""
     placed: list[_Placed] = []
     for item in items_of(name, items):
         one = instance(cast("Any", item)) if isinstance(item, asset) else item
@@ -165,7 +166,7 @@ class Scene:
     """
 
     UP_NAMES: ClassVar[tuple[str, ...]] = tuple(UP_AXES)
-    """Names accepted for ``up``."""
+    """Axis names that ``up`` accepts, such as ``"y-down"``."""
 
     splats: tuple[SplatInstance, ...] = given(converter=_splats, default=())
     meshes: tuple[MeshInstance, ...] = given(converter=_meshes, default=())
@@ -195,12 +196,12 @@ class Scene:
 
     @property
     def gaussian_count(self) -> int:
-        """Number of Gaussians over all instances."""
+        """Number of Gaussians of all splat instances together."""
         return sum(instance.gaussians.count for instance in self.splats)
 
     @property
     def face_count(self) -> int:
-        """Number of triangles over all instances."""
+        """Number of triangles of all mesh instances together."""
         return sum(instance.mesh.face_count for instance in self.meshes)
 
     @property
@@ -231,7 +232,7 @@ class Scene:
         return None
 
     def _stated_up(self) -> Vector | None:
-        """Returns the world-space up direction of the first capture that stores one; None if no capture does."""
+        """Returns the world-space up direction of the first capture whose ``up`` is not None; None if there is none."""
         for instance in self.splats:
             if instance.gaussians.up is not None:
                 return moved_orientation(instance.gaussians, instance.transform)["up"]
@@ -241,7 +242,8 @@ class Scene:
     def upright_wxyz(self) -> tuple[float, float, float, float]:
         """Quaternion, scalar first, that rotates an object with y up upright in the scene.
 
-        The side of the object that faces +z, its front in glTF, faces the front of the scene.
+        The object's +z side, its front in glTF, then faces the viewer for whom `front_vector` defines the scene's
+        front.
         """
         w, x, y, z = quaternions_from_matrices(y_up_from(self.up_direction).T[None])[0]
         return float(w), float(x), float(y), float(z)
@@ -276,11 +278,12 @@ class Scene:
 
 
 _BULKS: WeakKeyDictionary[Gaussians, tuple[bytes, Bounds]] = WeakKeyDictionary()
-"""Cache of each capture's bulk bounds: the transform of the last measured instance as bytes, and its bounds."""
+"""Cache of captures' boxes without stray Gaussians: the instance's transform as bytes, and the world-space (min, max).
+"""
 
 
 def _bulk(instance: SplatInstance) -> Bounds:
-    """Returns the world-space box of a capture's means, without `BULK_TAIL` of its opacity at each end of each axis."""
+    """Returns the world-space box around an instance's means, less the outer 2 % of opacity at each end of an axis."""
     place = instance.transform.tobytes()
     held = _BULKS.get(instance.gaussians)
     if held is None or held[0] != place:
@@ -309,14 +312,14 @@ def _height_at(
     share: npt.NDArray[np.float64],
     wanted: float,
 ) -> float:
-    """Returns the height up to which the weights sum to ``wanted``.
+    """Returns the smallest height at and below which the weights of the points sum to ``wanted``.
 
     Args:
         heights: Heights of N points, shape (N,).
         weights: Weight of each point, shape (N,).
-        bins: Bin of each point, shape (N,).
-        share: Cumulative weight up to the end of each bin.
-        wanted: Cumulative weight to find.
+        bins: Index of the histogram bin of each height, shape (N,).
+        share: Sum of the weights in each bin and all bins before it, shape (`_BINS`,).
+        wanted: Cumulative weight at which to find the height.
     """
     number = int(np.searchsorted(share, wanted))
     rows = np.flatnonzero(bins == number)
