@@ -44,32 +44,36 @@ from lumisplat.device.structs.shading import (
 
 @struct
 class SampledLight:
-    """Contribution of one light sample at a surface of a path."""
+    """Result of sampling one light at a surface point of a path, with and without the MIS weight."""
 
     contribution: Contribution
-    """Contribution multiplied by the MIS weight, because path rays may also hit the light."""
+    """Unshadowed contribution times its MIS weight against rays, sampled by the BSDF, that may hit the same light."""
     unweighted: wp.vec3
-    """Colour of the contribution without the MIS weight."""
+    """Linear colour of the unshadowed contribution without the MIS weight."""
 
 
 LIGHT_COSINE_MIN = 0.1
-"""Smallest cosine assumed when a light is selected, because parts of an extended light may be above the horizon."""
+"""Smallest cosine between surface normal and direction to a light's centre in the estimate by which lights are
+selected.
+
+Parts of an extended light may be above the horizon although its centre is not."""
 
 LIGHT_BRANCHES = wp.constant(2)
-"""First branch of a ray's key that lights use for random numbers; branches 0 and 1 belong to the ray's two bounces."""
+"""Light ``number`` derives its random numbers from branch ``2 + number`` of a ray's key; 0 and 1 are for its bounces.
+"""
 
 BSDF_BRANCHES = wp.constant(2)
-"""First branch of a light's key that its shadow rays use; branches 0 and 1 belong to samples of the BSDF."""
+"""First branch of a light's random key for shadow rays; branches 0 and 1 sample the environment by the BSDF."""
 
 # Random branches of a ray's key where one light is selected.
 POINT_BRANCH = wp.constant(2)
-"""Random branch that selects a point of the light's extent."""
+"""Branch of a ray's random key for the point on the extent of the one selected light."""
 
 CHOICE_BRANCH = wp.constant(3)
-"""Random branch that selects the light and, among emissive triangles, the triangle."""
+"""Branch of a ray's random key that selects one light and, if it is a mesh, one of the emissive triangles."""
 
 SHADOW_BRANCH = wp.constant(5)
-"""Random branch of the shadow ray, independent of the branch that selected the point of the light."""
+"""Branch of a ray's random key for the shadow ray towards the one selected light."""
 
 WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 
@@ -90,7 +94,7 @@ def choice_count(scene: wp.array[ShadingScene]) -> int:
 def is_environment(number: int, scene: wp.array[ShadingScene]) -> bool:
     """Returns whether light ``number`` is the environment.
 
-    The emissive triangles are one more light, numbered after all others.
+    A number equal to the count of lights stands for the emissive triangles and gives False.
     """
     if number == scene[0].settings[0].light_count:
         return False
@@ -99,7 +103,7 @@ def is_environment(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 @wp.func
 def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether objects cast shadows in the light of light ``number``; they always do for emissive meshes."""
+    """Returns whether objects block light ``number``; always True for emissive triangles, numbered after all lights."""
     if number == scene[0].settings[0].light_count:
         return True
     return scene[0].lights[number].casts_shadow != 0
@@ -107,10 +111,10 @@ def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 @wp.func
 def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether rays scattered at surfaces also find light ``number``, so that its samples need MIS weights.
+    """Returns whether samples of light ``number`` need MIS weights, because scattered rays also hit the light.
 
-    The result is False for lights without extent, which rays cannot hit. It is False, too, for lights whose samples
-    ignore objects that block rays, or are shadowed in another way than rays.
+    It is False for point-like lights, which rays cannot hit, for lights whose samples are not shadowed or only up to a
+    distance, and if shadow rays use a threshold or tint. ``no_shadows``: shadows are switched off for the frame.
     """
     if no_shadows or scene[0].settings[0].changes_shadows != 0:
         return False
@@ -126,7 +130,10 @@ def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bo
 
 @wp.func
 def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
-    """Estimates the irradiance of a surface point by light ``number``; above 0 wherever the light contributes."""
+    """Estimates the luminance of the unshadowed irradiance by light ``number`` at a point; above 0 if it contributes.
+
+    Emissive triangles count as one light, numbered after all others.
+    """
     if number == scene[0].settings[0].light_count:
         emitters = scene[0].emitters
         away = emitters.center - position
@@ -141,7 +148,7 @@ def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.
 
 @wp.func
 def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
-    """Estimates the irradiance of a surface point by all lights."""
+    """Returns the sum of ``light_importance``, the estimated irradiance at a surface point, over all lights."""
     total = float(0.0)
     for number in range(choice_count(scene)):
         total += light_importance(number, position, normal, scene)
@@ -150,7 +157,10 @@ def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[Shading
 
 @wp.func
 def vertex_without_importance(interaction: Interaction) -> PathVertex:
-    """Returns position and normal of an interaction as a path vertex; its importance is not set."""
+    """Returns position and normal of an interaction as a path vertex, whose ``importance`` stays 0.
+
+    The normal is zero at rough glass, which light reaches from both sides.
+    """
     vertex = PathVertex()
     vertex.position = interaction.position
     vertex.normal = interaction.normal
@@ -161,7 +171,7 @@ def vertex_without_importance(interaction: Interaction) -> PathVertex:
 
 @wp.func
 def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
-    """Returns an interaction as a path vertex: position, normal, and the importance of all lights."""
+    """Returns an interaction as a path vertex: position, normal, and the estimated irradiance by all lights."""
     vertex = vertex_without_importance(interaction)
     vertex.importance = total_importance(vertex.position, vertex.normal, scene)
     return vertex
@@ -169,7 +179,10 @@ def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVe
 
 @wp.func
 def chosen_light(u: float, vertex: PathVertex, scene: wp.array[ShadingScene]) -> LightChoice:
-    """Selects a light for a path vertex in proportion to its importance there; ``u`` is random, 0..1."""
+    """Selects a light with probability ``light_importance / vertex.importance``; ``u`` is random, 0..1.
+
+    The index is -1 if the estimated irradiance by all lights is 0 or not finite.
+    """
     choice = LightChoice()
     choice.number = -1
     if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
@@ -206,7 +219,10 @@ def environment_number(scene: wp.array[ShadingScene]) -> int:
 
 @wp.func
 def arrives(interaction: Interaction, direction: wp.vec3) -> bool:
-    """Returns whether light from a direction arrives at an interaction: above its horizon or, at rough glass, below."""
+    """Returns whether light from ``direction`` reaches the surface: above its horizon or, at rough glass, below.
+
+    Shading normal and horizon normal must agree on the side.
+    """
     cosine = wp.dot(interaction.normal, direction)
     above = wp.dot(interaction.horizon_normal, direction)
     if cosine < 0.0 and above < 0.0:
@@ -216,7 +232,10 @@ def arrives(interaction: Interaction, direction: wp.vec3) -> bool:
 
 @wp.func
 def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
-    """Returns the unshadowed irradiance at an interaction by a light sample."""
+    """Returns the irradiance by a light sample, without shadow, on the surface: ``|cosine| * sample.irradiance``.
+
+    It is zero if the light comes from below the horizon of an opaque surface.
+    """
     if not arrives(interaction, sample.direction):
         return wp.vec3(0.0)
     return wp.abs(wp.dot(interaction.normal, sample.direction)) * sample.irradiance
@@ -224,9 +243,9 @@ def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
 
 @wp.func
 def contribution_of(interaction: Interaction, sample: LightSample, share: float) -> Contribution:
-    """Returns the contribution of a light sample, times ``share``, to the ray's radiance.
+    """Returns the unshadowed contribution of a light sample to the ray's radiance, multiplied by ``share``.
 
-    For a shadow catcher, the contribution is irradiance.
+    For a shadow catcher, the colour is irradiance instead of radiance.
     """
     irradiance = share * irradiance_of(interaction, sample)
     result = Contribution()
@@ -243,7 +262,7 @@ def contribution_of(interaction: Interaction, sample: LightSample, share: float)
 
 @wp.func
 def power_heuristic(pdf: float, other: float) -> float:
-    """Returns the MIS weight of a sample with pdf ``pdf`` if another strategy samples its direction with ``other``."""
+    """Returns the MIS weight ``pdf^2 / (pdf^2 + other^2)``; ``other`` is the pdf of the other sampling strategy."""
     if pdf <= 0.0:
         return 0.0
     ratio = other / pdf
@@ -259,13 +278,11 @@ def environment_sample(
     choice: float,
     scene: wp.array[ShadingScene],
 ) -> LightSample:
-    """Draws one of two samples of the environment: by its radiance or, if ``samples_bsdf``, by a BSDF.
+    """Samples a direction to the environment: by the environment's radiance or, if ``samples_bsdf``, by a BSDF.
 
-    The samples are weighted by the balance heuristic (Veach and Guibas 1995), so that the sum of both is an unbiased
-    estimate.
-
-    ``bsdf`` is the BSDF of the surface or a part of it. ``u`` is random, 0..1 each; ``choice``, random, 0..1, selects a
-    lobe.
+    The caller adds one sample of each kind: the balance heuristic (Veach and Guibas 1995) weights them so that their
+    sum is unbiased. ``bsdf`` is the surface's BSDF or a part of it. ``u`` is random, 0..1 each; ``choice``, random,
+    0..1, selects a lobe.
     """
     sample = LightSample()
     environment = scene[0].environment
@@ -289,13 +306,16 @@ def environment_sample(
 
 @wp.func
 def light_key(pixel_key: wp.uint32, number: int) -> wp.uint32:
-    """Returns the key of the random sequence that samples light ``number`` for all samples of a pixel."""
+    """Returns the key of the low-discrepancy sequence that samples light ``number``; a pixel's samples share it."""
     return branch_key(pixel_key, LIGHT_BRANCHES + number)
 
 
 @wp.func
 def shadow_ray_key(key: wp.uint32, number: int, samples_bsdf: bool, slot: int) -> wp.uint32:
-    """Returns the random key of the shadow ray from interaction ``slot`` of a ray towards light ``number``."""
+    """Returns the random key of a shadow ray to light ``number`` from a ray's surface ``slot``: 0 Gaussians, 1 mesh.
+
+    ``key`` is the ray's own key. Samples of the environment by the BSDF (``samples_bsdf``) get a key of their own.
+    """
     return branch_key(light_key(key, number), BSDF_BRANCHES + slot + 2 * int(samples_bsdf))
 
 
@@ -310,9 +330,10 @@ def light_center_contribution(number: int, interaction: Interaction, scene: wp.a
 def light_sample_contribution(
     number: int, interaction: Interaction, pixel_key: wp.uint32, index: int, scene: wp.array[ShadingScene]
 ) -> Contribution:
-    """Returns the contribution of light ``number``, sampled at a random point of its extent.
+    """Returns the unshadowed contribution of light ``number``, sampled at a random point of its extent.
 
-    The light must not be the environment. ``index`` is the index of the ray's sample.
+    The light must not be the environment. ``index`` is the number of the pixel's sample in the low-discrepancy
+    sequence.
     """
     u = sobol_2d(light_key(pixel_key, number), index)
     sample = sample_light(scene[0].lights[number], interaction.position, 1, u)
@@ -328,7 +349,10 @@ def environment_contribution(
     index: int,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Returns the contribution of the environment, light ``number``, by one of the two ``environment_sample`` draws."""
+    """Returns the unshadowed contribution of the environment in one direction, sampled as in ``environment_sample``.
+
+    ``number`` is the environment's index among the lights; ``index`` is the number of the pixel's sample.
+    """
     key = light_key(pixel_key, number)
     u = sobol_2d(key, index)
     choice = float(0.0)
@@ -348,10 +372,10 @@ def light_contribution(
     index: int,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Returns the contribution of light ``number`` along one shadow ray.
+    """Returns the unshadowed contribution of light ``number`` along one shadow ray.
 
     The environment is sampled by its radiance or, if ``samples_bsdf``, by the BSDF. Other lights are sampled at a
-    random point for soft shadows, and at their centre for hard shadows.
+    random point for soft shadows, and at their centre for hard shadows. ``index`` is the number of the pixel's sample.
     """
     contribution = Contribution()
     if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
@@ -375,10 +399,10 @@ def sample_chosen(
     with_mis: bool,
     scene: wp.array[ShadingScene],
 ) -> SampledLight:
-    """Samples a selected light at an interaction; the contribution is divided by the selection probability.
+    """Samples the light that was selected at random; the contribution is divided by the probability of the selection.
 
-    ``u`` and ``which`` are random, 0..1; ``with_mis``: whether rays scattered at the surface find the light, too, see
-    ``uses_mis``.
+    ``u``, random, 0..1 each, selects the point; ``which``, random, 0..1, the emissive triangle. ``with_mis``: weight
+    the contribution by the power heuristic, because scattered rays also hit the light (see ``uses_mis``).
     """
     sample = LightSample()
     if choice.number == scene[0].settings[0].light_count:
@@ -402,10 +426,9 @@ def sample_chosen(
 
 @wp.func
 def half_highlight(bsdf: Bsdf, cos_view: float) -> Bsdf:
-    """Returns a BSDF for sampling, whose diffuse part is reduced to at most the albedo of the highlight.
+    """Returns the BSDF with its diffuse albedo reduced to that of the highlight, for choosing sample directions only.
 
-    At least half of its samples are then drawn from the highlight. Otherwise, samples in the highlight would be rare
-    and bright.
+    At least half of the directions then come from the highlight. Otherwise, samples in it would be rare and bright.
     """
     half = bsdf
     mirrored = bsdf.specular
@@ -425,10 +448,10 @@ def sample_chosen_environment(
     which: float,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Samples the selected environment and divides the contribution by the selection probability.
+    """Samples the environment, selected among the lights; the contribution is divided by the selection probability.
 
-    The sample is drawn by radiance or by the surface's BSDF, which ``u[0]`` selects, so that both kinds are stratified
-    together. ``u`` and ``which`` are random, 0..1.
+    ``u[0] < 0.5`` samples by radiance, else by the BSDF; one sequence thus stratifies both strategies. ``u`` and
+    ``which``, which selects a lobe, are random, 0..1.
     """
     lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
     samples_lobe = u[0] >= 0.5
@@ -447,7 +470,7 @@ def start_chosen_ray(
     wave: wp.array[WaveData],
     rays: RayData,
 ):
-    """Starts shadow ray ``i``, from surface ``slot`` of ray ``i`` towards its sampled light."""
+    """Starts shadow ray ``i`` to light ``number`` at surface ``slot`` of ray ``i``: 0 for Gaussians, 1 for a mesh."""
     j = slot * wave[0].rays.is_active.shape[0] + i
     start_shadow_ray(i, j, number, contribution, scene, wave, rays)
     rays.pixel_key[i] = branch_key(wave[0].rays.pixel_key[i], SHADOW_BRANCH)
@@ -466,9 +489,10 @@ def sample_choice(
     wave: wp.array[WaveData],
     rays: RayData,
 ) -> Contribution:
-    """Samples the light that real-time rendering has selected, and starts shadow ray ``i`` if it is needed.
+    """Samples the light that real-time rendering has selected, and starts shadow ray ``i`` unless none is needed.
 
-    ``slot`` is the lit surface of ray ``i``: 0 for Gaussians, 1 for a mesh. Shadow ray ``i`` must be inactive before.
+    None is needed if the contribution is black, the frame has no shadows, or the light casts none. ``slot`` is the lit
+    surface of ray ``i``: 0 for Gaussians, 1 for a mesh. Shadow ray ``i`` must be inactive before.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]

@@ -55,9 +55,9 @@ def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
 
 @wp.func
 def first_above(ends: wp.array[float], first: int, count: int, value: float) -> int:
-    """Returns the position, from 0, of the first of ``count`` ascending numbers that exceeds ``value``.
+    """Returns the position, 0 to ``count - 1``, of the first of ``count`` ascending numbers that exceeds ``value``.
 
-    The numbers begin at element ``first``. If none exceeds the value, the last position is returned.
+    The numbers begin at ``ends[first]``. If none exceeds the value, the result is ``count - 1``.
     """
     low = int(0)
     high = count - 1
@@ -72,7 +72,7 @@ def first_above(ends: wp.array[float], first: int, count: int, value: float) -> 
 
 @wp.func
 def start_of(ends: wp.array[float], first: int, index: int) -> float:
-    """Returns the cumulative fraction of a CDF before entry ``index``: the end of the previous entry."""
+    """Returns the cumulative fraction before entry ``index`` of a CDF that begins at ``ends[first]``; 0 for entry 0."""
     if index == 0:
         return 0.0
     return ends[first + index - 1]
@@ -80,7 +80,7 @@ def start_of(ends: wp.array[float], first: int, index: int) -> float:
 
 @wp.func
 def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
-    """Returns ``sin^2 (theta / 2) = (1 - cos theta) / 2`` at the upper and lower edge of an image row.
+    """Returns ``(1 - cos theta) / 2`` at the upper and the lower edge of a row of the environment map.
 
     theta is the angle from the nearer pole: from the top in the upper half, from the bottom in the lower half of the
     image. The result has no cancellation.
@@ -98,7 +98,10 @@ def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
 
 @wp.func
 def cell_size(environment: EnvironmentData, height: wp.vec2) -> float:
-    """Returns the solid angle of a texel between the edges ``height`` of its row, as ``cell_height`` returns them."""
+    """Returns the solid angle, steradians, of one texel in a row of the environment map.
+
+    ``height`` is ``cell_height`` of the row.
+    """
     return 2.0 * TWO_PI * wp.abs(height[1] - height[0]) / float(environment.width)
 
 
@@ -173,7 +176,7 @@ NEARER = wp.constant(wp.float32(1.0 - EMITTER_MARGIN))
 
 @wp.func
 def emitter_share(k: int, scene: wp.array[ShadingScene]) -> float:
-    """Returns the probability with which emissive triangle ``k`` is sampled."""
+    """Returns the probability with which emissive triangle ``k`` is sampled: its fraction of the power of all."""
     return scene[0].emitters.ends[k] - start_of(scene[0].emitters.ends, 0, k)
 
 
@@ -192,10 +195,10 @@ def area_pdf(share: float, across: wp.vec3, direction: wp.vec3, distance2: float
 
 @wp.func
 def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> wp.vec3:
-    """Returns a point of an emissive triangle, lifted towards ``point``.
+    """Returns a point on an emissive triangle, moved off the triangle to the side of ``point``.
 
-    A shadow ray that leads to the lifted point does not hit the triangle. ``weights`` are barycentric. The lift is that
-    of ``spawn_point`` for the largest rounding error on the triangle.
+    A shadow ray that leads to the returned point does not hit the triangle, in spite of rounding. ``weights`` are
+    barycentric.
     """
     inner = wp.vec3(
         wp.max(weights[0], triangle.inside[0]),

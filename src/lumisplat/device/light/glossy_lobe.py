@@ -1,6 +1,6 @@
 """Rays within the highlights of rough surfaces: choice of the surface, probability, and direction.
 
-These rays only find surfaces; the light of lights and of the environment in highlights is sampled as direct light. The
+These rays add radiance of other surfaces. Lights and the environment in highlights are sampled as direct light. The
 equations are in docs/method/materials.md#glossy-reflections.
 """
 
@@ -17,15 +17,15 @@ from lumisplat.device.structs import struct
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, WaveData
 
 GLOSSY_SHARE_FOLLOWED = 0.25
-"""Fraction of a ray's light from which on a highlight that reflects it sends a ray in every sample.
+"""A highlight that reflects at least this fraction of a ray's light spawns a highlight ray in every sample.
 
-Highlights that reflect less send rays in fewer samples, and each ray counts more. A dielectric, which reflects 0.04,
-sends a ray in one of six samples."""
+A highlight that reflects a smaller fraction r does so with probability r / 0.25, and the ray counts 0.25 / r times. A
+dielectric, which reflects 0.04, sends a ray in one of six samples."""
 
 FOLLOWED = wp.constant(wp.float32(GLOSSY_SHARE_FOLLOWED))
 
 LOBE_BRANCH = wp.constant(1 << 20)
-"""Random branch of highlight rays, behind those of mirrors, glass and any number of lights."""
+"""Branch of a ray's random key for its highlight ray, too high to collide with the branches of bounces and lights."""
 CHOICE_BRANCH = wp.constant((1 << 20) + 1)
 DIRECTION_BRANCH = wp.constant((1 << 20) + 2)
 
@@ -35,24 +35,24 @@ COAT_SHARE = wp.constant(wp.float32(COAT_HEAD_ON))
 
 @struct
 class LobeRay:
-    """A ray within a highlight."""
+    """A ray sampled within the highlight of a rough surface, to find what other surfaces it reflects."""
 
     slot: int
-    """Surface from which the ray starts: 0 for Gaussians, 1 for a mesh; -1: no ray."""
+    """Surface of the parent ray at which this ray starts: 0 for Gaussians, 1 for a mesh; -1: there is no ray."""
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
     normal: wp.vec3
-    """Unit normal of the layer of flat Gaussians at which the ray starts, as in ``RayData``; zero: none."""
+    """Unit normal of the layer of flat Gaussians at which the ray starts; zero if it starts elsewhere."""
     weight: wp.vec3
-    """Factor of the ray's radiance in the radiance that the surface reflects.
+    """Factor of the ray's radiance in the radiance that the surface reflects (BSDF times cosine over pdf).
 
-    In the result of `lobe_ray`, it is the factor in the colour of the parent ray."""
+    `lobe_ray` returns the factor in the radiance of the parent ray instead."""
 
 
 @wp.func
 def highlight_of(bsdf: Bsdf) -> Bsdf:
-    """Returns a BSDF with the highlights of ``bsdf`` only, including those of its clearcoat and sheen."""
+    """Returns the highlight, clearcoat and sheen of ``bsdf``, without diffuse lobe and multiple scattering."""
     alone = bsdf
     if bsdf.model == BSDF_SIMPLE:
         alone.specular = wp.cw_mul(simple_scale(bsdf), bsdf.specular)
@@ -63,7 +63,7 @@ def highlight_of(bsdf: Bsdf) -> Bsdf:
 
 @wp.func
 def highlight_share(interaction: Interaction) -> float:
-    """Estimates the fraction of a ray's light that the highlight of an interaction reflects.
+    """Estimates the fraction of the ray's radiance that comes from the highlight of the surface; 0 for mirrors.
 
     The estimate is above 0 wherever the highlight reflects any light.
     """
@@ -81,7 +81,11 @@ def highlight_share(interaction: Interaction) -> float:
 
 @wp.func
 def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
-    """Selects an interaction in proportion to its highlight: 0 for ``splats``, 1 for ``mesh``, -1 for none."""
+    """Selects the surface that sends a highlight ray: 0 for ``splats``, 1 for ``mesh``, -1 for none.
+
+    The probabilities are proportional to the light that each highlight reflects; ``u`` is random, 0..1. The result is
+    -1 with a probability above 0 if both reflect less than ``GLOSSY_SHARE_FOLLOWED`` together.
+    """
     first = highlight_share(splats)
     total = first + highlight_share(mesh)
     if not (u * wp.max(total, FOLLOWED) < total):
@@ -91,14 +95,17 @@ def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
 
 @wp.func
 def lobe_slot(i: int, splats: Interaction, mesh: Interaction, wave: wp.array[WaveData]) -> int:
-    """Selects the interaction of ray ``i`` that sends a highlight ray: 0 for Gaussians, 1 for a mesh, -1 for none."""
+    """Selects the surface of ray ``i`` that sends a highlight ray, by the ray's own random number.
+
+    0 stands for Gaussians, 1 for a mesh, -1 for none.
+    """
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
     return chosen_slot(u[0], splats, mesh)
 
 
 @wp.func
 def interaction_of(j: int, wave: wp.array[WaveData]) -> Interaction:
-    """Returns interaction ``j``; if there is none, its field ``exists`` is False."""
+    """Returns interaction ``j`` of a wave; where a ray hits no reflecting surface, its field ``exists`` is False."""
     interaction = Interaction()
     if wave[0].interactions.exists[j]:
         interaction = load_interaction(j, wave)
@@ -107,7 +114,10 @@ def interaction_of(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 @wp.func
 def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData]) -> LobeRay:
-    """Samples a ray within the highlight of interaction ``slot`` of ray ``i`` (GGX by visible normals)."""
+    """Samples a ray within the highlight at one surface of ray ``i`` by visible normals of GGX.
+
+    ``slot`` is the surface, 0 for Gaussians or 1 for a mesh, and ``interaction`` its interaction.
+    """
     ray = LobeRay()
     ray.slot = slot
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], DIRECTION_BRANCH), wave[0].rays.sample[i])

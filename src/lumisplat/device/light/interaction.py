@@ -34,7 +34,8 @@ from lumisplat.device.structs.shading import (
 )
 
 SMOOTH_HEIGHT_MIN = 1.0e-5
-"""Height of a smooth surface over its triangle below which it counts as rounding error, as a fraction of the sides."""
+"""Heights of the smooth surface above its triangle up to this fraction of two edges' total length count as rounding
+error."""
 
 SMOOTH_START_COSINE = 0.1
 """Cosine between a light and the normal of a smooth mesh's triangle above which shadow rays start on the triangle.
@@ -54,7 +55,7 @@ START_COSINE = wp.constant(wp.float32(SMOOTH_START_COSINE))
 
 @wp.func
 def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, to_vertex: wp.vec3, normal: wp.vec3) -> float:
-    """Returns the height above a point of the plane through a vertex that is orthogonal to the vertex normal.
+    """Returns the height, above a point of a triangle, of the plane through a vertex with the vertex normal.
 
     The height is measured along ``normal``. ``to_vertex`` leads from the point to the vertex, world space.
     """
@@ -66,12 +67,11 @@ def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, to_vert
 def smooth_height(
     instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3
 ) -> float:
-    """Returns the height of the smooth surface above a point of its triangle (after Hanika 2021), scene units.
+    """Returns the height above a triangle's point of the smooth surface that the vertex normals describe, scene units.
 
-    The smooth surface is the weighted mean of the planes through the corners, each orthogonal to the corner's vertex
-    normal. Vertex normals that all lean one way, without spreading, form no smooth surface; the height is then 0.
-
-    ``normal`` is the shading normal at the point, world space, unit, on the visible side of the triangle.
+    The smooth surface is the mean of the planes through the corners with their vertex normals, by barycentric
+    ``weights`` (after Hanika 2021). A surface that is not convex here has height 0. ``normal`` is the unit shading
+    normal at the point, world space, on the visible side of the triangle.
     """
     if instance.has_normals == 0:
         return 0.0
@@ -89,7 +89,7 @@ def smooth_height(
 
 @wp.func
 def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contribution:
-    """Returns ``contribution`` for a shadow ray whose start is moved by ``lift``.
+    """Returns ``contribution`` with direction and distance changed for a shadow ray whose origin moves by ``lift``.
 
     The ray still ends at the same point of the light; with its previous length, it would end behind an emissive
     triangle.
@@ -103,11 +103,10 @@ def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contri
 
 @wp.func
 def lift_of(height: float, normal: wp.vec3, geometric_normal: wp.vec3, direction: wp.vec3) -> wp.vec3:
-    """Returns the vector from a triangle to the origin of a shadow ray on the smooth surface above.
+    """Returns the vector by which a shadow ray's origin moves from a flat triangle towards the smooth surface above.
 
-    A triangle that faces the light by a cosine of ``SMOOTH_START_COSINE`` or more cannot shadow a convex smooth
-    surface: rays start on the triangle, which preserves contact shadows. Below that cosine, the origin moves
-    proportionally up to the smooth surface.
+    It is zero if the triangle faces the light by a cosine of at least ``SMOOTH_START_COSINE``, which preserves contact
+    shadows. It grows as the cosine falls, up to ``height * normal`` at cosine 0 and below.
     """
     share = wp.clamp(1.0 - wp.dot(geometric_normal, direction) / START_COSINE, 0.0, 1.0)
     return share * height * normal
@@ -119,7 +118,7 @@ SHADE_OPTIONS = {
     "enable_backward": False,
     "fuse_fp": False,
 }
-"""Module options of kernels that shade surfaces."""
+"""Warp module options of kernels that shade surfaces: no backward pass, and no fused multiply-add."""
 
 
 @wp.func
@@ -140,10 +139,10 @@ def bsdf_of(
     transmission: float,
     eta: float,
 ) -> Bsdf:
-    """Returns the BSDF of a material at a point (docs/adr/0009).
+    """Returns the BSDF of material ``number`` at a surface point (docs/adr/0009).
 
-    ``color`` is the linear base colour, ``eta`` the index of refraction on the viewer's side over the index behind the
-    surface.
+    ``color`` is the linear base colour there. ``eta`` is the index of refraction on the viewer's side over the index
+    behind the surface.
     """
     bsdf = Bsdf()
     bsdf.model = materials[number].model
@@ -182,7 +181,7 @@ def bsdf_of(
 
 @wp.func
 def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
-    """Reads interaction ``j`` from the arrays of a wave; the interaction must exist."""
+    """Reads element ``j`` of a wave's interaction arrays as one struct; the interaction must exist."""
     interaction = Interaction()
     interaction.exists = True
     interaction.position = wave[0].interactions.position[j]
@@ -218,7 +217,7 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 @wp.func
 def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]):
-    """Writes interaction ``j`` to the arrays of a wave, except for the start of its shadow rays."""
+    """Writes an interaction to element ``j`` of a wave's arrays, except for the fields of shadow ray origins."""
     wave[0].interactions.exists[j] = interaction.exists
     if not interaction.exists:
         return
@@ -259,7 +258,7 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 @wp.func
 def texel(meshes: MeshData, values: wp.array[float], texture: TextureData, uv: wp.vec2) -> wp.vec3:
-    """Returns a texture's colour at ``uv``; ``values`` is the table that decodes its bytes."""
+    """Samples a texture at ``uv``; ``values`` converts its bytes to numbers, either linear or byte / 255."""
     return sample_texture(meshes.texels, values, texture, uv)
 
 
@@ -272,7 +271,7 @@ def mapped_normal(
     uv: wp.vec2,
     normal: wp.vec3,
 ) -> wp.vec3:
-    """Perturbs a shading normal by a normal map; both normals point out of the mesh.
+    """Returns ``normal``, perturbed by the material's normal map at ``uv``; both normals point out of the mesh.
 
     Tangents follow from the gradients of the texture coordinates over the triangle.
     """
@@ -302,9 +301,9 @@ def mapped_normal(
 def mesh_interaction(
     i: int, transmittance: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
-    """Returns the interaction of ray ``i`` with the mesh that it hits behind Gaussians.
+    """Returns the interaction of ray ``i`` with the mesh that it hits behind Gaussians of total ``transmittance``.
 
-    ``transmittance`` is that of the Gaussians. ``exists`` is False if the mesh reflects nothing, or only as a mirror.
+    ``exists`` is False if the mesh reflects nothing, or only as a mirror.
     """
     interaction = Interaction()
     number = wave[0].meshes.instance[i]
@@ -371,7 +370,7 @@ def mesh_interaction(
 
 @wp.func
 def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the origin of rays leaving the mesh that ray ``i`` hits, on the side to which ``side`` points."""
+    """Returns the point, moved off the mesh that ray ``i`` hits to the side of ``side``, at which new rays start."""
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     return spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
@@ -381,7 +380,7 @@ def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave:
 def emission_at(
     number: int, corners: wp.vec3i, weights: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Returns the linear radiance of a mesh point that lights do not cause: emission and reflected ambient light.
+    """Returns the linear radiance that a mesh point emits, plus the constant ambient light that it reflects.
 
     ``direction`` is that of the ray hitting the point, world space; some materials emit only from front sides.
     """

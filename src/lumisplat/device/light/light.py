@@ -13,14 +13,14 @@ from lumisplat.device.math.directions import PI, TWO_PI, around
 from lumisplat.device.structs.shading import LightCrossing, LightData, LightSample
 
 LIGHT_POINT: int = wp.constant(0)
-"""Point light or sphere."""
+"""Point light; with a radius, a sphere."""
 LIGHT_SPOT: int = wp.constant(1)
 LIGHT_DIRECTIONAL: int = wp.constant(2)
 LIGHT_RECT: int = wp.constant(3)
 LIGHT_ENVIRONMENT: int = wp.constant(4)
 LIGHT_DISK: int = wp.constant(6)
 LIGHT_HEADLIGHT: int = wp.constant(5)
-"""Light at the camera's eye without falloff or shadow; a white surface facing it looks white."""
+"""Type of a light at the camera's eye without falloff or shadow."""
 
 NEAREST2 = wp.constant(wp.float32(LIGHT_DISTANCE_MIN**2))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
@@ -31,7 +31,10 @@ TINY = wp.constant(wp.float32(1e-30))
 
 @wp.func
 def window(light: LightData, distance2: float) -> float:
-    """Returns the factor by which a light fades out towards its range (glTF, KHR_lights_punctual)."""
+    """Returns the factor, 1 to 0, by which a light fades out until its range (glTF, KHR_lights_punctual).
+
+    It is 1 for a light without range.
+    """
     if light.range == wp.inf:
         return 1.0
     share2 = distance2 / (light.range * light.range)
@@ -40,10 +43,10 @@ def window(light: LightData, distance2: float) -> float:
 
 @wp.func
 def cone(light: LightData, direction: wp.vec3) -> float:
-    """Returns the angular attenuation of a spot at a point; ``direction`` leads from the point to the spot.
+    """Returns the factor, 0..1, by which a spot is dimmed at a point outside its inner cone.
 
-    ``1 - cosine`` of the angle from the spot's axis is computed as half the squared distance of two unit vectors, which
-    keeps its digits for narrow cones.
+    ``direction`` leads from the point to the spot. ``1 - cosine`` of the angle from the spot's axis is computed as half
+    the squared distance of two unit vectors, which keeps its digits for narrow cones.
     """
     off = direction + light.direction
     share = (light.outer - 0.5 * wp.dot(off, off)) / wp.max(light.outer - light.inner, TINY)
@@ -53,7 +56,10 @@ def cone(light: LightData, direction: wp.vec3) -> float:
 
 @wp.func
 def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """Samples a point light or spot; if soft, as a sphere of the same candela, in the cone that it subtends."""
+    """Samples a point light or spot: its centre or, if soft, a direction within the cone that its sphere subtends.
+
+    The sphere has the light's radius and its luminous intensity.
+    """
     sample = LightSample()
     offset = light.position - point
     distance2 = wp.dot(offset, offset)
@@ -93,7 +99,7 @@ def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
 
 @wp.func
 def sample_directional(light: LightData, soft: int, u: wp.vec2) -> LightSample:
-    """Samples a directional light; if soft, as a disk of its angular radius."""
+    """Samples a directional light: its direction or, if soft, a direction within its angular radius."""
     sample = LightSample()
     sample.direction = -light.direction
     sample.distance = wp.inf
@@ -125,7 +131,10 @@ def flat_area(light: LightData) -> float:
 
 @wp.func
 def flat_point(light: LightData, u: wp.vec2) -> wp.vec3:
-    """Returns a random point of a planar light relative to its centre, uniform in area."""
+    """Returns a random point of a rectangle or disk light relative to its centre, uniform in area.
+
+    ``u`` is random, 0..1 each.
+    """
     if light.kind == LIGHT_DISK:
         return light.radius * wp.sqrt(u[0]) * around(light.direction, 0.0, 1.0, u[1])
     return (u[0] - 0.5) * light.edge_u + (u[1] - 0.5) * light.edge_v
@@ -148,7 +157,10 @@ def flat_covers(light: LightData, offset: wp.vec3) -> bool:
 
 @wp.func
 def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """Samples a planar light: all of its light comes from its centre or, if soft, from a random point of it."""
+    """Samples a rectangle or disk light at its centre or, if soft, at a random point, uniform in area.
+
+    At the centre, the sample carries the light of the whole area.
+    """
     sample = LightSample()
     offset = light.position - point
     if soft != 0:
@@ -234,9 +246,9 @@ def sphere_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Li
 
 @wp.func
 def light_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
-    """Intersects a ray with a light that rays can hit.
+    """Intersects a ray with a light's shape, a rectangle, disk or sphere.
 
-    Returns distance, radiance, and the pdf with which samples of the light have the ray's direction.
+    Returns distance, radiance, and the pdf with which sampling the light would choose the ray's direction.
     """
     if is_flat(light):
         return flat_crossing(light, origin, direction)
@@ -245,7 +257,7 @@ def light_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Lig
 
 @wp.func
 def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: float) -> float:
-    """Returns the largest angular attenuation factor of a spot at any point within ``reach`` of a given point.
+    """Returns an upper bound of a spot's angular attenuation, 0..1, at all points within ``reach`` of a given point.
 
     ``to_light`` is the vector from the given point to the spot, ``distance`` its length.
     """
@@ -260,11 +272,10 @@ def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: flo
 
 @wp.func
 def light_bound(light: LightData, center: wp.vec3, half: float) -> float:
-    """Estimates the irradiance by a light at a surface that lies in a cell and faces the light.
+    """Estimates the luminance of the irradiance by a light on surfaces, facing the light, within a cubic cell.
 
-    The estimate is above 0 if any surface in the cell receives light.
-
-    The light must not be the environment; ``half`` is half the cell's diagonal.
+    ``half`` is half the cell's diagonal. The estimate is above 0 if any point of the cell receives light. The light
+    must not be the environment.
     """
     power = wp.dot(WEIGHTS, light.power)
     if light.kind == LIGHT_DIRECTIONAL or light.kind == LIGHT_HEADLIGHT:  # noqa: PLR1714

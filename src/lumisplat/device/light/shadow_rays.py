@@ -43,7 +43,7 @@ from lumisplat.device.structs.shading import Contribution, ShadingScene, WaveDat
 
 @wp.func
 def leaves_below(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> bool:
-    """Returns whether a ray from interaction ``j`` in a direction passes through a transmitting surface."""
+    """Returns whether a ray that leaves interaction ``j`` in ``direction`` passes through its surface (rough glass)."""
     if not wave[0].interactions.transmitted:
         return False
     through = wp.dot(direction, wave[0].interactions.geometric_normal[j]) < 0.0
@@ -54,7 +54,7 @@ def leaves_below(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> bool:
 def spawn_origin(
     j: int, direction: wp.vec3, lift: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
-    """Returns the origin of a ray from interaction ``j``, on the side to which it leaves.
+    """Returns the origin of a ray that leaves interaction ``j`` in ``direction``, moved off the surface to that side.
 
     ``lift`` is the result of ``spawn_lift``.
     """
@@ -66,9 +66,9 @@ def spawn_origin(
 
 @wp.func
 def spawn_lift(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the vector from the spawn point of interaction ``j`` to the origin of a ray in a direction.
+    """Returns the vector that lifts a ray's origin from the spawn point of interaction ``j`` to the smooth surface.
 
-    The origin lies on the smooth surface where the smooth surface is higher than the triangle.
+    It is zero on Gaussians, and on meshes that are flat or that ``direction`` passes through.
     """
     height = wave[0].interactions.smooth_height[j]
     if height <= 0.0 or leaves_below(j, direction, wave):
@@ -87,7 +87,7 @@ def start_shadow_ray(
     wave: wp.array[WaveData],
     rays_out: RayData,
 ):
-    """Starts a shadow ray from interaction ``j`` towards light ``number``; the caller sets its random keys."""
+    """Writes shadow ray ``ray`` from interaction ``j`` to light ``number``; the caller sets its random keys."""
     origin = spawn_origin(j, contribution.direction, spawn_lift(j, contribution.direction, wave), scene, wave)
     contribution = aimed_from_lifted_start(contribution, origin - wave[0].interactions.position[j])
     rays_out.is_active[ray] = True
@@ -107,13 +107,13 @@ def start_shadow_ray(
 
 @wp.func
 def shadow_key(settings: ShadowData) -> wp.uint32:
-    """Returns the key of the random numbers that all shadow rays of a stochastic sample share."""
+    """Returns the random key by which DRAWS_SHARED draws one number per Gaussian; 16 stratified samples share it."""
     return sample_key_of(-1, settings.sample // 16, settings.seed)
 
 
 @wp.func
 def shadow_floor(settings: ShadowData, pixel_key: wp.uint32, sample: int) -> float:
-    """Returns the transmittance at which a shadow ray ends.
+    """Returns the transmittance at which a shadow ray ends as blocked.
 
     It is the transmittance that counts as black or, with DRAWS_PER_RAY, a random number of the ray.
     """
@@ -126,7 +126,7 @@ def shadow_floor(settings: ShadowData, pixel_key: wp.uint32, sample: int) -> flo
 
 @wp.func
 def passed_share(settings: ShadowData, transmittance: float) -> float:
-    """Converts the transmittance of a finished shadow ray to the light's visibility: 0 or 1 with random blocking."""
+    """Returns the light's visibility for the final transmittance of a shadow ray: 0 or 1 for stochastic shadows."""
     if settings.draws == DRAWS_NONE:
         return transmittance
     return wp.where(transmittance > 0.0, 1.0, 0.0)
@@ -134,7 +134,7 @@ def passed_share(settings: ShadowData, transmittance: float) -> float:
 
 @wp.func
 def pass_straight(material: SmoothData, base_color: wp.vec3, cosine: float) -> wp.vec3:
-    """Returns the transmittance of a surface for shadow rays, linear; 0 unless the surface is smooth and transmits.
+    """Returns the linear transmittance of a mesh surface for shadow rays; 0 unless the surface is smooth glass.
 
     The ray passes straight, without refraction. Both sides therefore count as air: light that leaves the mesh has the
     Fresnel reflectance of light that enters it, and total internal reflection does not occur.
@@ -153,7 +153,7 @@ def tint_of(gaussians: GaussianData, i: int) -> wp.vec3:
 
 @wp.func
 def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.vec3:
-    """Returns the visibility of a light through Gaussians, for each colour channel.
+    """Returns the visibility of a light, per channel, after Gaussians reduced it to ``transmittance``.
 
     ``tint`` is the alpha-weighted sum of the Gaussians' linear colours; its scale is irrelevant.
     """
@@ -172,14 +172,15 @@ def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.v
 
 @struct
 class Absorption:
-    """Accumulated attenuation of the shadow rays of a packet, one lane for each ray; local arrays of the kernel."""
+    """Transmittance and tint of the shadow rays of a packet, one lane for each ray; arrays are local to the kernel."""
 
     transmittance: wp.array[float]
-    """Transmittance so far; 0 for blocked rays and for rays outside the packet."""
+    """Transmittance of each ray through the Gaussians found so far; 0 for blocked rays and unused lanes."""
     floor: wp.array[float]
-    """Transmittance at which a ray is blocked; FAR for rays outside the packet."""
+    """Transmittance at or below which each ray counts as blocked; FAR for unused lanes."""
     tint: wp.array(dtype=float, ndim=2)
-    """Alpha-weighted sums of the Gaussians' linear colours: rows red, green and blue, one column for each lane."""
+    """Sums of alpha times linear colour over the Gaussians that each ray hit: rows red, green, blue, one column for
+    each lane."""
 
 
 @struct
@@ -188,9 +189,11 @@ class FirstHits:
 
     lists: wp.array[HitList]
     hits: wp.array[Hit]
-    """Slots of the hit lists of all rays."""
+    """Hits of all rays; each lane owns an equal range, to which its hit list refers."""
     cut_t: wp.array[float]
-    """Distance from which on hits, from (cut_t, cut_index), do not count."""
+    """Distance of the farthest hit in each ray's list once it is full; hits from (cut_t, cut_index) on are ignored.
+
+    FAR: the list has free space."""
     cut_index: wp.array[int]
 
 
@@ -219,9 +222,10 @@ def begin_first_hits(first_hits: FirstHits):
 
 @wp.func
 def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], first: int) -> float:
-    """Sets ``t_max`` of the rays for a tree: the ray's limit, or -FAR for rays that skip the tree's shadow catcher.
+    """Sets ``t_max`` of the rays before a packet enters a tree: the ray's end, or -FAR if the ray skips the tree.
 
-    Returns the largest of these distances, at least -FAR; nodes farther away need not be visited.
+    A ray with ``skips`` skips trees of shadow catchers. Returns the largest of these distances, at least -FAR; nodes
+    farther away need not be visited.
     """
     is_shadow_only = tree.number != WORLD and tree.instance.shadow_catcher != 0
     reach = float(-FAR)
@@ -234,13 +238,16 @@ def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], fir
 
 @wp.func
 def shadow_begin(config: ShadowData, particle: Particle, instance: SplatInstanceData) -> float:
-    """Returns the distance from which a Gaussian shadows a surface of wider Gaussians, scene units."""
+    """Returns the shadow offset of a Gaussian: the distance from a surface below which it does not shadow the surface.
+
+    The distance is in scene units; the surface's own offset applies if it is smaller.
+    """
     return config.offset * instance.scale * particle.largest_scale + config.offset_absolute
 
 
 @wp.func
 def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
-    """Returns the largest distance at which a hit may count on any ray of a packet."""
+    """Returns the largest distance at which any ray of a packet can still take a hit into its list of first hits."""
     reach = float(-FAR)
     for lane in range(first_hits.cut_t.shape[0]):
         reach = larger(reach, lesser(first_hits.cut_t[lane], packet.limit[lane]))
@@ -249,7 +256,7 @@ def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
 
 @wp.func
 def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], hit_list: HitList) -> wp.vec3:
-    """Returns the visibility of a light through the Gaussians whose hits a list stores."""
+    """Returns the visibility of a light, per channel, through the Gaussians whose hits are in ``hit_list``."""
     transmittance = float(1.0)
     tint = wp.vec3()
     for j in range(hit_list.head, hit_list.tail):
@@ -263,19 +270,19 @@ def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], hit
 
 
 class PacketAbsorption(NamedTuple):
-    """Types and functions that attenuate packets with a certain number of lanes."""
+    """Warp types and functions for shadows by all Gaussians, generated for one number of rays per packet."""
 
     storage: Any
-    """Type of the local variable that stores an Absorption."""
+    """Warp struct of the kernel's local variable whose memory the arrays of an Absorption point to."""
     absorption_of: Any
     absorb: Any
 
 
 class PacketFirstHits(NamedTuple):
-    """Types and functions that find the first hits of packets with a certain number of lanes."""
+    """Warp types and functions for shadows by the nearest Gaussians, generated for one number of rays per packet."""
 
     storage: Any
-    """Type of the local variable that stores FirstHits."""
+    """Warp struct of the kernel's local variable whose memory the arrays of FirstHits point to."""
     first_hits_of: Any
     buffer_first_hits: Any
 
@@ -290,7 +297,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
 
     @struct
     class AbsorptionStorage:
-        """Local variable that stores an Absorption."""
+        """Local variable of a kernel whose memory the arrays of an Absorption point to."""
 
         transmittance: Floats
         floor: Floats
@@ -298,7 +305,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
 
     @wp.func
     def absorption_of(storage: wp.ref[AbsorptionStorage]) -> Absorption:
-        """Returns the Absorption that is stored in a local variable."""
+        """Returns an Absorption whose arrays point to the memory of the local variable ``storage``."""
         absorption = Absorption()
         absorption.transmittance = wp.array(ptr=wp.address_of(storage.transmittance), shape=(LANES,), dtype=float)
         absorption.floor = wp.array(ptr=wp.address_of(storage.floor), shape=(LANES,), dtype=float)
@@ -317,7 +324,11 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         first: int,
         key: wp.uint32,
     ) -> int:
-        """Attenuates the rays by a Gaussian and ends rays that it blocks; returns 1 if any ray hits it, else 0."""
+        """Multiplies the transmittance of the packet's rays by that of a Gaussian, and ends rays that this blocks.
+
+        Returns 1 if any ray hits the Gaussian, else 0. ``first`` is the index of the packet's first ray in ``rays``,
+        ``key`` the key of shared random numbers.
+        """
         begin = shadow_begin(config, particle, instance)
         kind, across2, along2 = hit_responses(particle, begin, packet)
         found = counted_hits(kind, begin, packet, particle, instance, scene, rays, first)
@@ -362,7 +373,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
 
     @struct
     class FirstHitsStorage:
-        """Local variable that stores FirstHits."""
+        """Local variable of a kernel whose memory the arrays of FirstHits point to."""
 
         lists: storage_of(HitList, lanes)
         hits: storage_of(Hit, HITS)
@@ -371,7 +382,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
 
     @wp.func
     def first_hits_of(storage: wp.ref[FirstHitsStorage]) -> FirstHits:
-        """Returns the FirstHits that are stored in a local variable."""
+        """Returns FirstHits whose arrays point to the memory of the local variable ``storage``."""
         first_hits = FirstHits()
         first_hits.lists = wp.array(ptr=wp.address_of(storage.lists), shape=(LANES,), dtype=HitList)
         first_hits.hits = wp.array(ptr=wp.address_of(storage.hits), shape=(HITS,), dtype=Hit)
@@ -390,7 +401,11 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
         rays: RayData,
         first: int,
     ) -> int:
-        """Inserts the hits of a Gaussian into the lists of their rays; returns 1 if any ray hits it, else 0."""
+        """Adds each ray's hit with a Gaussian to the ray's list of nearest hits, and drops the farthest of a full
+        list.
+
+        Returns 1 if any ray hits the Gaussian, else 0. ``first`` is the index of the packet's first ray in ``rays``.
+        """
         begin = shadow_begin(config, particle, instance)
         t, distance2, kind = hit_distances(particle, instance.scale, config.hit_distance, begin, packet)
         found = counted_hits(kind, begin, packet, particle, instance, scene, rays, first)

@@ -24,12 +24,13 @@ from lumisplat.device.structs.shading import (
 )
 
 CAPTURED_SHARE_MIN = 1.0e-6
-"""Weight of captured colours on a ray below which the weight counts as rounding error beside relit Gaussians."""
+"""On rays with relit Gaussians, captured colours of at most this total blending weight are dropped as rounding error.
+"""
 
 CAPTURED_MIN = wp.constant(wp.float32(CAPTURED_SHARE_MIN))
 
 NEAR_MESH = wp.constant(wp.float32(0.999))
-"""Fraction of the distance to a mesh below which a point is in front of the mesh in spite of rounding."""
+"""Points nearer than this fraction of the distance to the mesh hit are certainly in front of the mesh."""
 
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 
@@ -38,7 +39,7 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 @wp.func
 def sees_environment(i: int, wave: wp.array[WaveData]) -> bool:
-    """Returns whether ray ``i`` sees the environment and the background; highlight rays do not."""
+    """Returns whether ray ``i`` adds the environment or background when it escapes; rays within highlights do not."""
     if wave[0].sees_environment:
         return wave[0].sees_environment[i]
     return True
@@ -46,9 +47,9 @@ def sees_environment(i: int, wave: wp.array[WaveData]) -> bool:
 
 @wp.func
 def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Returns whether linear light lies behind the Gaussians of ray ``i``, instead of the display-referred background.
+    """Returns whether linear light, not the display-referred background, lies behind the Gaussians of ray ``i``.
 
-    A mesh, the environment and nothing at all count as linear light.
+    A mesh and the environment count as linear light, and so does black.
     """
     if wave[0].meshes.face[i] >= 0:
         return True
@@ -59,7 +60,7 @@ def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
-    """Returns the distance along ray ``i`` to the projection of the mean of the surface's Gaussian onto the ray."""
+    """Returns the distance, at least 0, along ray ``i`` to the projected mean of the Gaussian ``surface.gaussian``."""
     instance = scene[0].splats[surface.instance]
     mean = scene[0].attributes[instance.asset].means[surface.gaussian] - instance.object_from_world_offset
     to_mean = instance.scale * (instance.world_from_object * mean) - wave[0].rays.origin[i]
@@ -68,9 +69,10 @@ def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene
 
 @wp.func
 def reflects_as_captured(surface: SplatSurface, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether the iso-opacity surface exists and belongs to a set that is not relit but changed by lights.
+    """Returns whether the iso-opacity surface belongs to a splat set that shows captured colours changed by lights.
 
-    Such sets are shadow catchers, or emit their captured colour and reflect light as well.
+    Such sets are shadow catchers, or emit their captured colour and reflect light as well. False without such a
+    surface.
     """
     if not surface.depth < wp.inf:
         return False
@@ -80,11 +82,10 @@ def reflects_as_captured(surface: SplatSurface, scene: wp.array[ShadingScene]) -
 
 @wp.func
 def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> SplatSurface:
-    """Returns the surface of the Gaussians in front of the nearest mesh on ray ``i``, and their captured colours.
+    """Merges the Gaussians of ray ``i`` before the nearest mesh into one surface, plus captured colours on the ray.
 
-    Contributions of relit sets are kept separate from those of others (docs/method/lighting.md#surfaces).
-
-    ``over_light``: linear light lies behind the Gaussians, instead of the background over which colours were captured.
+    Colours of relit splat sets are kept apart from captured ones (docs/method/lighting.md#surfaces). ``over_light``:
+    linear light, instead of the display-referred background, lies behind the Gaussians.
     """
     surface = SplatSurface()
     surface.instance = -1
@@ -136,10 +137,10 @@ def with_captured(
     over_light: bool,
     scene: wp.array[ShadingScene],
 ) -> SplatSurface:
-    """Adds to a surface the captured colours on its ray and their weight.
+    """Sets ``captured`` and ``weight`` of a surface from the blended colours of its ray.
 
-    ``color`` is the colour of all Gaussians on the ray, ``relit_color`` that of the relit sets, whose weight is
-    ``relit``. ``over_light``: linear light lies behind the Gaussians, instead of the background.
+    ``color`` is the colour of all Gaussians on the ray, ``relit_color`` the part of relit splat sets, and ``relit``
+    their blending weight. ``over_light``: linear light, instead of the background, lies behind the Gaussians.
     """
     if relit > 0.0:
         color = color - relit_color
@@ -157,15 +158,16 @@ def with_captured(
 
 @wp.func
 def reflects_light(surface: SplatSurface) -> bool:
-    """Returns whether lights change the appearance of a surface of Gaussians; others only emit captured colour."""
+    """Returns whether lights change the surface's colour; False: its Gaussians only show captured colours."""
     return surface.gaussian >= 0
 
 
 @wp.func
 def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the fraction, per channel, of a ray's linear captured colour that is not the background behind it.
+    """Returns the fraction, per channel, of a ray's linear captured colour that comes from Gaussians, not background.
 
-    ``over_light``: linear light lies behind the Gaussians, instead of the background.
+    The fraction is 0 in channels without any light. ``over_light``: linear light, instead of the background, lies
+    behind.
     """
     shown = captured_color(surface.captured, surface.weight)
     behind = wp.vec3(0.0)
@@ -180,7 +182,10 @@ def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[Shading
 
 @wp.func
 def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp.vec2:
-    """Returns roughness and metallic of a Gaussian of an instance."""
+    """Returns roughness and metallic of Gaussian ``gaussian`` of a splat instance.
+
+    BSDF_PBR uses the values stored with the Gaussian, if there are any; else they are those of the material.
+    """
     # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     asset = scene[0].splats[instance].asset
     roughness = scene[0].materials[instance].roughness
@@ -195,7 +200,7 @@ def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp
 
 @wp.func
 def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the world-space point of ray ``i`` at a depth; close to a mesh, the point just in front of the mesh.
+    """Returns the point of ray ``i`` at distance ``depth``, world space, or just before the mesh if it lies behind.
 
     Splats are wider in the image than their Gaussians. On a ray that hits a wall in front of the floor, the surface of
     the floor would lie on the far side of the wall and be lit from there.
@@ -216,7 +221,7 @@ def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.ar
 def splat_interaction(
     i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
-    """Returns the interaction of ray ``i`` with the surface of its Gaussians; ``reflects_light`` must hold for it."""
+    """Returns position, normals and BSDF at the surface of ray ``i``'s Gaussians; ``reflects_light`` must hold."""
     interaction = Interaction()
     # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     interaction.exists = True
@@ -241,9 +246,9 @@ def splat_interaction(
 
 @wp.func
 def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float:
-    """Returns the distance from a surface of Gaussians within which equally large Gaussians cast no shadow on it.
+    """Returns the shadow offset of a surface's own Gaussian, scene units.
 
-    The distance is in scene units.
+    Gaussians nearer than both this and their own offset cast no shadow on the surface.
     """
     asset = scene[0].splats[surface.instance].asset
     largest = scene[0].splats[surface.instance].scale * wp.max(scene[0].attributes[asset].scales[surface.gaussian])
@@ -252,7 +257,7 @@ def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float
 
 @wp.func
 def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the normal of the layer of flat Gaussians that a surface belongs to: its shading normal; zero: no layer.
+    """Returns the shading normal if the surface belongs to a layer of flat Gaussians, as on a wall; else zero.
 
     The surface's Gaussian must be flat and, by its own normal, seen from the front: silhouettes show some Gaussians
     from behind, where other Gaussians of the layer lie in front of them.
@@ -274,16 +279,17 @@ def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[Shading
 
 @wp.func
 def catcher_received(light: CatcherLight) -> float:
-    """Returns the irradiance that a shadow catcher receives without added objects, in one channel."""
+    """Returns the total irradiance of a shadow catcher, in one channel, as if the added objects were absent."""
     rest = wp.where(light.ambient > 0.0, light.ambient, light.emitted_unshadowed)
     return light.unshadowed + wp.max(rest, light.least - light.unshadowed)
 
 
 @wp.func
 def catcher_change(light: CatcherLight) -> float:
-    """Returns the change of a shadow catcher's irradiance by all added objects, over its irradiance without them.
+    """Returns ``(E_with - E_without) / E_without`` of a shadow catcher in one channel; 0 if E_without is 0.
 
-    It is for one channel; `lumisplat.baking.gaussian_views.CatcherLight` computes the same in NumPy.
+    E_with and E_without are its irradiance with and without the added objects. In NumPy,
+    `lumisplat.baking.gaussian_views.CatcherLight` computes the same.
     """
     change = light.change
     received = catcher_received(light)
@@ -302,13 +308,16 @@ def catcher_change(light: CatcherLight) -> float:
 
 @wp.func
 def weighted_factor(factor: float, weight: float) -> float:
-    """Converts a factor of captured colour to a factor of a pixel in which captured colour has weight ``weight``."""
+    """Returns ``1 + weight * (factor - 1)``, a pixel's factor if only its fraction ``weight`` changes by ``factor``."""
     return 1.0 + weight * (factor - 1.0)
 
 
 @wp.func
 def straight_factor(factor: wp.vec3, weight: float) -> wp.vec3:
-    """Inverts ``weighted_factor`` for three channels; returns 1 if ``weight`` is 0."""
+    """Returns ``max(1 + (factor - 1) / weight, 0)`` per channel, the inverse of ``weighted_factor``.
+
+    It is 1 if ``weight`` is 0.
+    """
     if weight <= 0.0:
         return wp.vec3(1.0)
     return wp.max(wp.vec3(1.0) + (factor - wp.vec3(1.0)) / weight, wp.vec3(0.0))

@@ -11,13 +11,14 @@ Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
 ChildLinks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
 
 NO_CHILD: int = wp.constant(2**31 - 1)
-"""Link of an empty child of a node."""
+"""Value of ``Node.link`` for an unused child of a BVH node that has fewer than NODE_WIDTH children."""
 
 FAR: float = wp.constant(wp.float32(1.0e30))
-"""Finite stand-in for infinity in arithmetic: the end of unbounded rays and the corners of empty boxes."""
+"""1e30, a finite stand-in for infinity: the end of unbounded rays and, negated, of empty boxes. Distances above it do
+not occur."""
 
 WORLD = wp.constant(-1)
-"""Instance index that stands for the top-level BVH over all instances, whose space is world space."""
+"""Instance index, -1, of the top-level BVH over all splat instances; its boxes and rays are in world space."""
 
 
 @struct
@@ -30,7 +31,8 @@ class Particle:
     """Mean in object space."""
     log_opacity: float
     reach2: float
-    """Squared canonical distance beyond which rays ignore the Gaussian; negative: rays ignore it at any distance."""
+    """Squared distance from the mean, in standard deviations, up to which rays hit the Gaussian; negative: rays never
+    hit it."""
     index: int
     """Index of the Gaussian in its asset."""
     largest_scale: float
@@ -56,21 +58,22 @@ class Node:
     high_y: Children
     high_z: Children
     link: ChildLinks
-    """Index of each child node or, for a leaf, ~index of its Gaussian, triangle or instance in BVH order.
+    """For each child, the index of a node (>= 0); or, for a leaf, ``~index`` (< 0) of a Gaussian, triangle or
+    instance.
 
-    An empty child has the link NO_CHILD and an inverted box."""
+    Leaves index the arrays that are sorted in BVH order. An empty child has the link NO_CHILD and an inverted box."""
 
 
 HIT_PEAK: int = wp.constant(0)
-"""The hit distance is where the Gaussian responds most along the ray."""
+"""Hit distance of a ray and a Gaussian: the point on the ray where the Gaussian's response is largest."""
 
 HIT_HULL: int = wp.constant(1)
-"""The hit distance is where the ray enters the bounding ellipsoid of the Gaussian."""
+"""Hit distance of a ray and a Gaussian: the point where the ray enters the Gaussian's bounding ellipsoid."""
 
 HIT_MEAN: int = wp.constant(2)
-"""Hits are ordered by the projection of the Gaussian's mean onto the ray.
+"""Hit distance of a ray and a Gaussian: the projection of the Gaussian's mean onto the ray.
 
-The surface of a hit lies where the Gaussian responds most along the ray."""
+It only sorts hits. The depth of the iso-opacity surface is taken where the Gaussian's response is largest."""
 
 
 @struct
@@ -80,7 +83,7 @@ class AssetBvh:
     nodes: wp.array[Node]
     """Nodes of the BVH, the root first."""
     particles: wp.array[Particle]
-    """Gaussians in BVH order."""
+    """Gaussians of the asset in the order of the BVH's leaves, which ``Node.link`` indexes."""
     gaussians: GaussianData
 
 
@@ -97,10 +100,10 @@ class MeshTriangle:
 
 @struct
 class TriangleBvh:
-    """BVHs of several meshes, one tree for each mesh."""
+    """BVHs of several meshes in shared arrays, one tree for each mesh."""
 
     nodes: wp.array[Node]
-    """Nodes of all trees, the roots first."""
+    """Nodes of the trees of all meshes: first the root of each tree, then all other nodes."""
     triangles: wp.array[MeshTriangle]
     """Triangles of all meshes, in the order of the trees' leaves."""
 
@@ -127,21 +130,23 @@ class SceneBvh:
     instances: wp.array[SplatInstanceData]
     assets: wp.array[AssetBvh]
     packet_radius: float
-    """Largest distance between the origins of rays that share a packet, world space."""
+    """Rays may share a packet only if their origins are at most this far apart, world space."""
     footprint: float
-    """Largest ``SplatInstanceData.footprint`` of all instances, in pixel widths."""
+    """Largest standard deviation by which rays widen the Gaussians of any splat instance, in pixel widths."""
     hit_distance: int
-    """HIT_MEAN if any instance uses HIT_MEAN; else HIT_PEAK or HIT_HULL, which all instances then share."""
+    """HIT_MEAN if any splat instance uses HIT_MEAN; else HIT_PEAK or HIT_HULL, whichever all instances use."""
 
 
 DRAWS_NONE: int = wp.constant(0)
-"""Shadow rays are attenuated by the alpha of each Gaussian; no random numbers are drawn."""
+"""Each Gaussian attenuates a shadow ray by ``1 - alpha``; no random numbers are drawn."""
 
 DRAWS_PER_RAY: int = wp.constant(1)
-"""Shadow rays are blocked as a whole once their transmittance falls to one random number drawn for each ray."""
+"""Stochastic shadows: one random number for each ray, which is blocked as soon as its transmittance falls to the
+number."""
 
 DRAWS_SHARED: int = wp.constant(2)
-"""Shadow rays are blocked by random Gaussians: one random number for each Gaussian, shared by all rays of a sample."""
+"""Stochastic shadows: one random number for each Gaussian, shared by all rays of a sample. Below alpha, it blocks
+rays."""
 
 
 @struct
@@ -149,26 +154,30 @@ class ShadowData:
     """Settings of shadow rays, in a 1-element array."""
 
     hits: int
-    """Number of nearest Gaussians that attenuate a ray; used only by shadows of first hits."""
+    """With ``ShadowMethod.FIRST_HITS``: number of nearest Gaussians that attenuate a shadow ray; other methods ignore
+    it."""
     draws: int
-    """DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
+    """Random numbers of shadow rays: DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
     acceptance_scale: float
-    """Factor, 0..1, that the random numbers of blocking are multiplied by; below 1, more rays are blocked."""
+    """Stochastic shadows: a Gaussian blocks rays with probability ``min(alpha / acceptance_scale, 1)``; above 0, at
+    most 1."""
     hit_distance: int
-    """HIT_PEAK or HIT_HULL: the distance that orders the first hits."""
+    """Distance by which ``ShadowMethod.FIRST_HITS`` finds the nearest Gaussians: HIT_PEAK or HIT_HULL."""
     transmittance_min: float
-    """Transmittance at or below which a shadow is fully black."""
+    """A shadow ray ends, and its light is blocked, once its transmittance falls to this value."""
     threshold: float
-    """Transmittance at or below which a shadow is black; transmittances above it are rescaled to 0..1."""
+    """Artistic threshold T: a shadow is black at transmittances up to T, and ``(transmittance - T) / (1 - T)`` above.
+    """
     color_strength: float
     offset: float
-    """Distance from a surface of Gaussians, in multiples of a Gaussian's largest scale, within which the Gaussian does
-    not shadow that surface."""
+    """A Gaussian casts no shadow on a surface of Gaussians nearer than ``offset`` times its largest scale.
+
+    Gaussians of another layer than the surface's always cast shadows."""
     offset_absolute: float
-    """Distance in scene units, added to ``offset`` times the largest scale."""
+    """Distance in scene units that is added to ``offset`` times a Gaussian's largest scale."""
     seed: wp.uint32
     sample: int
-    """Index of the sample, which selects the random numbers that all shadow rays of the sample share."""
+    """Index of the pixel sample; together with ``seed`` it selects the random numbers that all shadow rays share."""
 
 
 STRATEGY_SORTED: int = wp.constant(0)
@@ -183,25 +192,27 @@ class TraceData:
     """Settings of the ray tracer, in a 1-element array."""
 
     strategy: int
-    """STRATEGY_SORTED, STRATEGY_HIT or STRATEGY_PASS."""
+    """How hits are found and blended: STRATEGY_SORTED, STRATEGY_HIT (one random hit) or STRATEGY_PASS (random after k
+    hits)."""
     hits_per_pass: int
-    """Hits that one pass of STRATEGY_PASS blends."""
+    """STRATEGY_PASS: number of nearest hits that are blended before the ray ends or continues at random."""
     hit_buffer_size: int
     """Number of nearest hits that a ray stores, sorted, while it traverses the BVH (the k of a k-buffer)."""
     ellipsoid_normal: int
-    """1: the normal of a hit is that of the Gaussian's bounding ellipsoid where the ray enters the ellipsoid."""
+    """1: the normal of a hit is that of the Gaussian's bounding ellipsoid, where the ray enters it. 0: the Gaussian's
+    normal."""
     transmittance_min: float
     depth_iso_transmittance: float
     acceptance_scale: float
     sh_degree: int
     """Highest SH degree that is evaluated."""
     offset: float
-    """Distance along the ray, in multiples of a Gaussian's largest scale, from which the Gaussian counts even before
+    """Rays that start at a surface may hit a Gaussian from ``offset`` times its largest scale on, even before
     ``t_min``.
 
-    With FAR, no Gaussian counts before ``t_min``, the start of the ray."""
+    FAR, the value for camera rays, makes ``t_min`` the first possible hit distance of every Gaussian."""
     offset_absolute: float
-    """Distance in scene units, added to ``offset`` times the largest scale."""
+    """Distance in scene units that is added to ``offset`` times a Gaussian's largest scale."""
 
 
 # --- Packets: coherent rays, their bounds, traversal stacks and hit lists ---
@@ -217,13 +228,15 @@ class Slabs:
     """
 
     low: wp.vec3
-    """Lower corner of a box around the ray origins, widened by the footprints of the rays."""
+    """Lower corner of a box around the origins of the packet's rays, widened by the rays' footprints."""
     high: wp.vec3
     slow: wp.vec3
-    """Smallest component of the ray directions along each axis, over their squared length; projects means onto the
-    rays."""
+    """Smallest direction component of the packet's rays along each axis, divided by the squared length of a direction.
+
+    Its product with a mean's offset from the origin bounds the distance at which the mean projects onto a ray."""
     fast: wp.vec3
-    """Largest component of the ray directions along each axis, over their squared length."""
+    """Largest direction component of the packet's rays along each axis, divided by the squared length of a direction.
+    """
     up_far: wp.vec3
     up_far_void: wp.vec3
     up_near: wp.vec3
@@ -239,73 +252,79 @@ class PacketRays:
     """The rays of a packet, one lane for each ray; local arrays of a kernel."""
 
     origin: wp.array(dtype=float, ndim=2)
-    """Ray origins in the space of the current tree; rows x, y and z, one column for each lane."""
+    """Ray origins in the space of the tree that is being traversed; rows x, y and z, one column for each ray of the
+    packet."""
     direction: wp.array(dtype=float, ndim=2)
     t_min: wp.array[float]
     limit: wp.array[float]
-    """Distance up to which the ray is traced; -FAR: the ray is finished, or the lane has no ray."""
+    """Distance at which each ray of the packet ends, in every tree; -FAR: the ray is finished, or the lane has no ray.
+    """
     path_length: wp.array[float]
     """Length of the path from the eye to the ray's origin, over all bounces."""
     spread: wp.array[float]
-    """Width of the ray's footprint divided by the path length."""
+    """Width of each ray's footprint divided by the length of the path from the eye."""
     footprint: wp.array[float]
-    """Standard deviation by which the ray widens Gaussians, divided by the path length, in the space of the current
-    tree."""
+    """Standard deviation by which each ray widens Gaussians, divided by the length of the path from the eye.
+
+    It is in the space of the tree that is being traversed."""
     t_max: wp.array[float]
-    """Distance up to which Gaussians of the current tree count on the ray; -FAR: no Gaussian counts."""
+    """Distance up to which each ray may hit Gaussians of the tree that is being traversed; -FAR: it skips the tree."""
     group: int
-    """Bit mask of the CUDA threads that traverse in step with this one; 0: none."""
+    """Bit mask of the CUDA threads that traverse the BVH together, each with its own rays; 0: the thread traverses
+    alone."""
 
 
 @struct
 class PacketTree:
-    """The tree of the scene's BVH that a packet currently traverses."""
+    """The tree that a packet is traversing: the top-level tree over all splat instances, or the BVH of one of them."""
 
     number: int
-    """Index of the instance that the tree belongs to, or WORLD for the top-level tree."""
+    """Index of the splat instance whose BVH is being traversed, or WORLD for the top-level tree."""
     instance: SplatInstanceData
-    """Data of instance ``number``; undefined if ``number`` is WORLD."""
+    """Data of the splat instance whose BVH is being traversed; undefined in the top-level tree."""
     slabs: Slabs
     """Bounding volume of the packet's rays in the space of the tree."""
 
 
 @struct
 class WaitingNode:
-    """A stack entry: a node that a packet still has to visit."""
+    """Entry of the traversal stack of a packet: a BVH node that the packet still has to visit."""
 
     entry: float
-    """Smallest distance at which a ray of the packet may be inside the node's box."""
+    """Lower bound of the distance at which any ray of the packet enters the node's box."""
     floor: float
-    """Smallest entry distance of this and all lower stack entries; set only if near nodes are visited first."""
+    """Smallest ``entry`` of this stack entry and of all entries below it; undefined if nodes are visited in any order.
+    """
     link: int
-    """Index of the node in its tree."""
+    """Index of the node among the nodes of its own tree."""
     instance: int
     """Index of the instance whose tree the node belongs to, or WORLD."""
 
 
 @struct
 class TreeRay:
-    """A single ray in the space of a tree."""
+    """A single ray in the space of the BVH that it traverses: world space, or object space of a splat instance."""
 
     origin: wp.vec3
     direction: wp.vec3
     inverse: wp.vec3
-    """Reciprocals of the direction's components, limited to finite values."""
+    """``1 / x`` for each component x of the ray's direction, limited to at most 1e30 in magnitude."""
     footprint: float
     """Standard deviation by which the ray widens Gaussians, divided by the path length."""
     path_length: float
     slabs: Slabs
-    """Bounding volume of the ray; set only if the ray has a footprint or hits are ordered by means."""
+    """Bounding volume of the ray and its footprint; undefined for a ray without footprint unless hits use HIT_MEAN."""
 
 
 @struct
 class WaitingLink:
-    """A stack entry: a child of a node that a single ray still has to visit."""
+    """Entry of the traversal stack of a single ray: a BVH node or leaf that the ray still has to visit."""
 
     entry: float
     """Distance at which the ray enters the child's box."""
     link: int
-    """Index of the child node, or ~index of the leaf's item, as in ``Node.link``."""
+    """Index of the node (>= 0) or, for a leaf, ``~index`` of its Gaussian, triangle or instance, as in ``Node.link``.
+    """
 
 
 @struct
@@ -313,7 +332,7 @@ class Hit:
     """Intersection of a ray with a Gaussian."""
 
     t: float
-    """Distance by which hits are ordered."""
+    """Distance along the ray by which hits are sorted from front to back; HIT_PEAK, HIT_HULL and HIT_MEAN define it."""
     alpha: float
     index: int
     """Index of the Gaussian among all Gaussians of the scene."""
@@ -321,11 +340,11 @@ class Hit:
 
 @struct
 class HitList:
-    """Sorted hits of one ray, stored in the ray's range of a shared array of Hit."""
+    """Hits of one ray, sorted from front to back, in the part of a shared array of Hit that belongs to the ray."""
 
     begin: int
-    """First slot of the ray's range."""
+    """Index in the shared array of Hit at which the ray's part begins."""
     head: int
-    """Slot of the first stored hit; earlier slots hold hits that were already blended."""
+    """Index in the shared array of the nearest hit that is not blended yet."""
     tail: int
-    """Slot after the last stored hit."""
+    """Index in the shared array after the farthest stored hit; equal to ``head`` if the list is empty."""

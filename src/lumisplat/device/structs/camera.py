@@ -25,24 +25,23 @@ class CameraData:
     offset: wp.vec2
     """Position of the sample in each pixel, 0..1."""
     raster_center: wp.vec2
-    """Principal point plus 0.5 minus ``offset``: makes the rasteriser's pixel centres coincide with the samples."""
+    """``center + 0.5 - offset``: the principal point, shifted so that the rasteriser's pixel centres lie at the
+    samples."""
     jacobian_min: wp.vec2
-    """Smallest x/z and y/z at which the projection's Jacobian is evaluated; Gaussians farther out use the Jacobian
-    there."""
+    """Smallest x/z and y/z of a mean for the Jacobian of its projection; below, the Jacobian at this limit is used."""
     jacobian_max: wp.vec2
-    """Largest x/z and y/z at which the projection's Jacobian is evaluated; Gaussians farther out use the Jacobian
-    there."""
+    """Largest x/z and y/z of a mean for the Jacobian of its projection; above, the Jacobian at this limit is used."""
     width: int
-    """Width of the rendered window (or of the full frame, without a window), pixels."""
+    """Width of the rendered image in pixels: that of the cropped window or, without a crop, of the full frame."""
     height: int
     left: int
-    """Left edge of the window in the full frame, pixels.
+    """Left edge of the cropped window in the full frame, pixels; 0 without a crop.
 
-    Pixel coordinates and random numbers refer to the full frame, so that a window renders the same pixels.
+    Pixel coordinates and random numbers refer to the full frame, so that a crop equals that part of the full frame.
     """
     top: int
     full_width: int
-    """Width of the full frame, pixels."""
+    """Width of the full frame without a crop, pixels."""
     full_height: int
     tiles_x: int
     tiles_y: int
@@ -57,36 +56,36 @@ class CameraData:
     tangential: wp.vec2
     """Tangential distortion coefficients p1 and p2."""
     distortion_reach: float
-    """Undistorted radius up to which the lens distortion is one-to-one."""
+    """Undistorted radius, x/z and y/z, up to which distinct points stay distinct under the lens distortion."""
     shutter: int
     """1: rolling shutter; the pose changes from row to row by ``rotation_angle`` and ``motion``. 0: global shutter."""
     rotation_axis: wp.vec3
-    """Axis of the camera's rotation while the rows are exposed, world space, unit."""
+    """Rolling shutter: axis of the camera's rotation from the first row to the last, world space, unit."""
     rotation_angle: float
-    """Angle by which the camera has rotated at the end of the last row, radians."""
+    """Rolling shutter: angle by which the camera rotates from the start of the first row to the end of the last,
+    radians."""
     motion: wp.vec3
-    """Translation of the eye from the start of the first row to the end of the last row, world space."""
+    """Rolling shutter: movement of the eye from the start of the first row to the end of the last, world space."""
 
 
 @struct
 class SampleData:
-    """The current sample of each pixel, in a 1-element array."""
+    """Index and seed of the sample that all pixels currently render, in a 1-element array."""
 
     index: int
-    """Index of the current sample, from 0.
-
-    Adaptive sampling skips pixels; the index is then that of pixels that receive every sample."""
+    """Index of the current sample, from 0. With adaptive sampling, some pixels skip it and have rendered fewer
+    samples."""
     seed: wp.uint32
 
 
 @struct
 class ListedRays:
-    """Rays of the pixels that adaptive sampling selects for this sample; empty arrays: the rays of all pixels."""
+    """Camera rays of the pixels that adaptive sampling selects for the current sample; empty arrays: all pixels."""
 
     ray: wp.array[int]
-    """Index of the ray among the rays of all pixels; -1: the element lists no ray."""
+    """Index of each listed ray among the camera rays of all pixels; -1: the rest of the list is unused."""
     sample: wp.array[int]
-    """Index of the sample within its pixel."""
+    """Number of samples that the ray's pixel has had before this one."""
     offset: wp.array[wp.vec2]
     """Position of the sample in its pixel, 0..1."""
 
@@ -105,19 +104,19 @@ class PixelData:
     """Images of a frame, one element for each pixel."""
 
     color: wp.array[wp.vec3]
-    """Colour over the background, display-referred sRGB.
+    """Display-referred sRGB colour, composited over the background.
 
-    In a lit frame, it is only the captured colour of the pixel, premultiplied by its weight."""
+    In a lit frame, it holds only the captured colour, premultiplied by ``LitPixels.captured_weight``."""
     alpha: wp.array[float]
-    """Opacity, 1 - transmittance; 1 where the pixel ends at a mesh."""
+    """1 - transmittance of the Gaussians; 1 if a mesh, the environment or a visible light lies behind them."""
     depth: wp.array[float]
     """Distance along the pixel's ray to the iso-opacity surface, scene units; inf: no surface."""
     normal: wp.array[wp.vec3]
     """Surface normal, world space, unit, towards the viewer; zero for an empty pixel."""
     gaussian: wp.array[int]
-    """Index of the surface's Gaussian in its own instance; -1: none."""
+    """Index, in its own splat instance, of the Gaussian at the iso-opacity surface; -1: no such surface."""
     instance: wp.array[int]
-    """Index of the instance, splat instances first, then mesh instances; -1: none."""
+    """Index of the instance whose surface the pixel shows: splat instances first, then mesh instances; -1: none."""
 
 
 @struct
@@ -125,9 +124,10 @@ class LitPixels:
     """Additional images of a lit frame; the arrays are empty in an unlit frame."""
 
     captured_weight: wp.array[float]
-    """Fraction of the pixel's colour that is captured colour."""
+    """Fraction of the pixel that captured colour covers, 0..1: the alpha by which the captured colour is
+    premultiplied."""
     light: wp.array[wp.vec3]
-    """Linear light that adds to the captured colour; negative where shadows remove light."""
+    """Linear light that is added to the captured colour; negative where new shadows darken it."""
     color: wp.array[wp.vec3]
     """Linear sum of captured colour and light, written after the last sample."""
 
@@ -137,16 +137,20 @@ class PixelSums:
     """Sums over the samples of each pixel, in double precision so that 100,000 samples lose no digits."""
 
     color: wp.array[wp.vec3d]
-    """Sum of ``PixelData.color``; the other fields are sums of the fields of the same name in `PixelData` and
-    `LitPixels`."""
+    """Sum of ``PixelData.color`` over the samples of each pixel.
+
+    ``alpha`` and ``light`` likewise are sums of the fields of that name in `PixelData` and `LitPixels`."""
     alpha: wp.array[wp.float64]
     captured_weight: wp.array[wp.float64]
-    """Sum of ``LitPixels.captured_weight``; empty in an unlit frame, like the sum ``light``."""
+    """Sum of ``LitPixels.captured_weight`` over the samples of each pixel; empty in an unlit frame, like the sum
+    ``light``."""
     light: wp.array[wp.vec3d]
     radiance: wp.array[wp.vec3d]
-    """Sum of the values whose variance is measured: linear radiance, or display-referred colour in an unlit frame."""
+    """Sum over samples of linear radiance or, in an unlit frame, display-referred colour; the variance is measured on
+    it."""
     squares: wp.array[wp.vec3d]
-    """Sum of the squared deviations of ``radiance`` from its mean."""
+    """Sum over samples of ``(radiance - mean)^2`` per channel; divided by the number of samples - 1, it is the
+    variance."""
 
 
 @struct
@@ -158,7 +162,7 @@ class PixelSample:
     captured_weight: float
     light: wp.vec3
     capture_factor: wp.vec3
-    """Fraction of the captured colour that remains after shadows."""
+    """Factor of the sample's captured colour, per channel: below 1 in new shadows, 1: unchanged."""
 
 
 @struct
@@ -171,45 +175,50 @@ class FilmData:
     width: int
     height: int
     in_blocks: int
-    """1: rays are ordered in square groups of pixels, as camera rays are; 0: rays are in row order."""
+    """1: consecutive rays belong to square groups of pixels, as camera rays do; 0: ray i belongs to pixel i, row by
+    row."""
     in_sequence: int
-    """1: every sample starts a new frame of a real-time sequence, even if the index of the sample is above 0."""
+    """Real-time rendering: 1: each sample is a frame of its own, although sample indices go on from frame to frame."""
     first_sample: int
-    """Index of the first sample of the frame; above 0 only in partial frames, which render a range of the samples."""
+    """Index of the frame's first sample; above 0 only if the frame renders a part of the samples, to be merged with
+    others."""
     pixels: PixelData
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]
-    """Mean fraction of the captured colour that remains after shadows; empty if no splat set is a shadow catcher."""
+    """Mean factor by which shadows darken each pixel's captured colour; empty if no splat set is a shadow catcher."""
     captured_all: wp.array[wp.vec3]
-    """Mean linear captured colour.
+    """Mean linear captured colour of each pixel.
 
-    The arrays from ``captured_all`` to ``captured_open`` are empty unless path tracing measures light on shadow
+    All arrays from ``captured_all`` to ``captured_open`` are empty unless path tracing measures light on shadow
     catchers."""
     captured_part: wp.array[wp.vec3]
-    """Part of ``captured_all`` that shadow catchers contribute."""
+    """The part of each pixel's mean linear captured colour that comes from shadow catchers."""
     captured_received: wp.array[wp.vec3]
-    """Fraction of the samples that measured the irradiance of a shadow catcher."""
+    """Fraction of each pixel's samples whose path measured the irradiance of a shadow catcher."""
     captured_unshadowed: wp.array[wp.vec3]
-    """Mean irradiance of the shadow catcher by lights, without added objects.
+    """Mean irradiance of the pixel's shadow catcher by the scene's lights as if the added objects were absent.
 
-    Samples without a measurement count as 0."""
+    Samples whose path did not measure a shadow catcher count as 0."""
     captured_shadowed: wp.array[wp.vec3]
-    """Mean irradiance of the shadow catcher by lights, with all added objects."""
+    """Mean irradiance of the pixel's shadow catcher by the scene's lights with all added objects present."""
     captured_emitted_unshadowed: wp.array[wp.vec3]
-    """Mean irradiance of the shadow catcher by the radiance of surrounding captures, without added objects."""
+    """Mean irradiance of the pixel's shadow catcher by surrounding splats' captured colours, without added objects."""
     captured_emitted_shadowed: wp.array[wp.vec3]
     captured_ambient: wp.array[wp.vec3]
-    """Mean ambient irradiance of the shadow catcher."""
+    """Mean ambient irradiance of the pixel's shadow catcher, as the scene specifies it, without added objects."""
     captured_open: wp.array[wp.vec3]
-    """Part of ``captured_ambient`` that no added object blocks."""
+    """Part of the shadow catcher's mean ambient irradiance that is left because no added object blocks it."""
     ratio: wp.array[wp.vec3]
-    """Factor by which shadows and added light change the pixel's captured colour, computed after the last sample.
+    """Factor per channel by which shadows and added light change each pixel's captured colour; set after the last
+    sample.
 
     The array is empty in frames without shadow catchers."""
     count: wp.array[int]
-    """Number of finite samples of each pixel; other samples are discarded."""
+    """Number of samples that each pixel has accumulated; samples with NaN or infinite values are discarded and not
+    counted."""
     sums: PixelSums
-    """Sums over samples; empty in frames of one sample, whose values are stored in ``pixels`` and ``lit``."""
+    """Sums over the samples of each pixel; empty if the frame has one sample, which ``pixels`` and ``lit`` then store.
+    """
     listed: ListedRays
 
 
@@ -218,11 +227,11 @@ class ToneMapData:
     """Settings that convert a lit frame to a display image."""
 
     straight: int
-    """1: colours are divided by alpha."""
+    """1: the display image has straight alpha, so that colours are divided by alpha; 0: premultiplied."""
     tone_map: int
-    """TONE_NONE, TONE_NEUTRAL or TONE_AGX."""
+    """Tone map of linear light: TONE_NONE, TONE_NEUTRAL or TONE_AGX."""
     gain: float
-    """2 to the power of the exposure."""
+    """Factor of linear light before the tone map: 2 to the power of the exposure in stops."""
     agx_from_rec709: wp.mat33
     rec2020_from_agx: wp.mat33
     rec709_from_rec2020: wp.mat33

@@ -10,7 +10,7 @@ class PixelGradient:
     """Gradients of the loss with respect to the images of a frame, one element for each pixel."""
 
     color: wp.array[wp.vec3]
-    """Gradient with respect to the colour over the background."""
+    """d loss / d colour of each pixel; the colour is display-referred and composited over the background."""
     alpha: wp.array[float]
 
 
@@ -25,29 +25,34 @@ class SplatGradient:
     shear: float
     across: float
     center_absolute: wp.vec2
-    """Sum over pixels of the magnitudes of their contributions to ``center`` (AbsGS, Ye et al. 2024)."""
+    """Sum over pixels of the absolute value of each pixel's gradient with respect to the centre (AbsGS, Ye et al.
+    2024)."""
     weight: float
-    """Sum of the splat's blending weights."""
+    """Sum over pixels of the blending weight ``transmittance * alpha`` with which the splat is seen."""
 
 
 @struct
 class RaySplatGradient:
     """Gradient of the loss with respect to a Gaussian rasterised along pixel rays; 56 bytes.
 
-    It sums over the rays of one tile or of all pixels. ``point``, ``squares`` and ``products`` are sums of the
-    coordinates, their squares and their products, of the point of each ray that is nearest to the mean in canonical
-    space. Each term is multiplied by the derivative of the loss with respect to the logarithm of the ray's alpha.
+    It sums over the rays of one tile or of all pixels. p is the point of a ray that is nearest to the mean in canonical
+    space, and g the derivative of the loss with respect to log(alpha) of the ray. ``point``, ``squares`` and
+    ``products`` are the sums of g times the coordinates of p, their squares and their products.
     """
 
     color: wp.vec3
     log_opacity: float
     weight: float
-    """Sum of the Gaussian's blending weights."""
+    """Sum over rays of the blending weight ``transmittance * alpha`` with which the Gaussian is seen."""
     point: wp.vec3
     squares: wp.vec3
-    """Sums of the squared coordinates of the points nearest to the mean."""
+    """Sum over rays of ``g * (x^2, y^2, z^2)``.
+
+    (x, y, z) is the point of a ray nearest to the mean, canonical space; g is d loss / d log(alpha) of the ray."""
     products: wp.vec3
-    """Sums of the coordinate products y z, z x and x y of the points nearest to the mean."""
+    """Sum over rays of ``g * (y z, z x, x y)``.
+
+    (x, y, z) is the point of a ray nearest to the mean, canonical space; g is d loss / d log(alpha) of the ray."""
 
 
 @struct
@@ -56,9 +61,8 @@ class GaussianGradient:
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
-    """Gradient with respect to the quaternion.
-
-    The gradient is orthogonal to the quaternion, because the quaternion is normalised after each step."""
+    """Gradient with respect to the rotation quaternion, orthogonal to the quaternion because only its direction
+    counts."""
     scales: wp.array[wp.vec3]
     opacities: wp.array[float]
     sh: wp.array[wp.vec3]
@@ -68,12 +72,12 @@ class GaussianGradient:
 
 @struct
 class PoseGradient:
-    """Gradient of the loss with respect to the camera pose, as far as it comes from some Gaussians of one instance."""
+    """Gradient of the loss with respect to the camera pose, summed over a group of Gaussians of one splat instance."""
 
     camera_from_object: wp.mat33
     camera_from_object_offset: wp.vec3
     eye: wp.vec3
-    """Gradient with respect to the eye in object space, through the view directions at which SH are evaluated."""
+    """Gradient with respect to the eye, object space, but only by the view directions at which the SH are evaluated."""
 
 
 @struct
@@ -83,7 +87,9 @@ class RayGradient:
     color: wp.array[wp.vec3]
     """Gradient with respect to the ray's colour."""
     behind: wp.array[float]
-    """Loss contribution of the whole ray: the sum of its colour and its transmittance, each times its gradient."""
+    """``dot(d loss / d color, color) + (d loss / d transmittance) * transmittance`` of each ray.
+
+    The backward pass subtracts each hit's part from front to back, which leaves that of everything behind the hit."""
 
 
 @struct
@@ -94,4 +100,4 @@ class HitGradients:
     log_alpha: wp.array[float]
     """Derivative of the loss with respect to the logarithm of the hit's alpha; 0 where alpha is clamped."""
     weight: wp.array[float]
-    """Blending weight of the Gaussian."""
+    """Blending weight of the hit Gaussian, ``transmittance * alpha``."""

@@ -13,7 +13,7 @@ class RasterData:
     """Settings of the rasteriser, in a 1-element array."""
 
     dilation: float
-    """Variance added to projected covariances, pixel^2."""
+    """Variance that low-pass filtering adds to projected 2D covariances, pixel^2."""
     sh_degree: int
     """Highest SH degree that is evaluated."""
     transmittance_min: float
@@ -50,12 +50,12 @@ class Splat:
     normal: wp.vec3
     """Normal, world space, unit, towards the viewer."""
     index: int
-    """Index of the Gaussian among all Gaussians of the scene."""
+    """Index of the splat's Gaussian, counted over all splat instances of the scene."""
 
 
 @struct
 class TileRect:
-    """Half-open rectangle of tiles, 8 bytes; empty for culled splats."""
+    """Half-open rectangle of image tiles that a splat may touch, 8 bytes; empty for culled splats."""
 
     x0: wp.int16
     y0: wp.int16
@@ -65,7 +65,7 @@ class TileRect:
 
 @struct
 class ChunkData:
-    """Smallest and largest depth key of one chunk of splats, and its numbers of visible and of non-finite splats."""
+    """Smallest and largest depth key of one chunk of splats; numbers of its visible and of its non-finite splats."""
 
     key_min: wp.uint32
     key_max: wp.uint32
@@ -75,7 +75,7 @@ class ChunkData:
 
 @struct
 class MeshPixels:
-    """Nearest mesh surface of each pixel; for the first hits of lit frames, kernels write only the depth."""
+    """Nearest mesh surface of each pixel. Lit frames only need, and write, its depth."""
 
     depth_z: wp.array[float]
     """View depth; inf: no mesh."""
@@ -92,15 +92,17 @@ class BlendState:
     """State of front-to-back blending of one pixel."""
 
     color: wp.vec3
-    """Blended colour, premultiplied."""
+    """Colour of the Gaussians blended so far, premultiplied, display-referred sRGB."""
     normal: wp.vec3
-    """Weighted sum of unit normals."""
+    """Sum of blending weight times unit normal over the Gaussians blended so far."""
     transmittance: float
-    """Transmittance so far; a negative value marks a finished pixel whose transmittance is the magnitude."""
+    """Transmittance of the Gaussians blended so far; a finished pixel stores it negated, so that no more are blended.
+    """
     surface: int
-    """Index of the Gaussian at which the iso-opacity surface is reached; -1: not reached."""
+    """Index, over all splat instances, of the Gaussian at the iso-opacity surface; -1: the surface is not reached yet.
+    """
     first: int
-    """Index of the first Gaussian blended; -1: none."""
+    """Index, over all splat instances, of the frontmost blended Gaussian; -1: none was blended yet."""
     hits: int
     """Number of Gaussians blended."""
 
@@ -111,7 +113,7 @@ class RasterMeshes:
 
     instances: wp.array[MeshInstanceData]
     splat_instance_count: int
-    """Number of splat instances: ``Triangle.instance`` starts at this number."""
+    """Number of splat instances; ``Triangle.instance`` numbers mesh instances after them."""
     meshes: MeshData
     sample: wp.array[SampleData]
 
@@ -126,13 +128,14 @@ class Triangle:
     """
 
     edge0: wp.vec3
-    """Cross product of the two vertices opposite vertex 0."""
+    """Cross product of vertices 1 and 2, camera space; edges 1 and 2 likewise are of the two other vertices, in cyclic
+    order."""
     edge1: wp.vec3
     edge2: wp.vec3
     normal: wp.vec3
     """Normal in camera space, not normalised."""
     plane: float
-    """Plane offset, ``normal . vertex``."""
+    """``dot(normal, vertex)`` for any vertex, camera space: the plane equation's constant."""
     row_first: wp.uint16
     """First image row that the triangle may touch."""
     row_last: wp.uint16
@@ -145,13 +148,16 @@ class RayRasterData:
     """Settings of the rasteriser that evaluates Gaussians along pixel rays, in a 1-element array."""
 
     dilation: float
-    """Variance by which Gaussians without antialiasing are widened, in squared widths of a pixel at the Gaussian."""
+    """Variance by which Gaussians are widened, in units of the squared width of a pixel at the Gaussian's distance.
+
+    Gaussians trained with antialiasing are not widened."""
     sh_degree: int
     """Highest SH degree that is evaluated."""
     transmittance_min: float
     depth_iso_transmittance: float
     field: float
-    """Tangent of the angle from a pinhole's axis beyond which the projection is extended linearly in the angle."""
+    """Tangent of the off-axis angle up to which a pinhole projection is exact; farther out it is linear in the angle.
+    """
 
 
 @struct
@@ -169,9 +175,9 @@ class RaySplat:
     """A Gaussian prepared for evaluation along pixel rays, 104 bytes."""
 
     canonical_from_world: wp.mat33
-    """Canonical transform of the Gaussian, widened by the footprint of a pixel."""
+    """Linear map from world space to the space where the Gaussian, widened by a pixel's footprint, is a unit sphere."""
     eye: wp.vec3
-    """Eye in canonical space; with a rolling shutter, at the start of the first row."""
+    """Position of the eye in the Gaussian's canonical space; with a rolling shutter, at the start of the first row."""
     log_opacity: float
     """Natural logarithm of the opacity."""
     color: wp.vec3
@@ -181,9 +187,9 @@ class RaySplat:
     normal: wp.vec3
     """Normal, world space, unit, towards the viewer."""
     index: int
-    """Index of the Gaussian among all Gaussians of the scene."""
+    """Index of the Gaussian, counted over all splat instances of the scene."""
     box: PixelBox
-    """Pixels outside of which alpha is below 1/255."""
+    """Rectangle of pixels outside which the Gaussian's alpha is below 1/255."""
 
 
 @struct
@@ -192,4 +198,4 @@ class PixelRays:
 
     rays: RayData
     limits: wp.array[float]
-    """Distance along each ray beyond which Gaussians are ignored."""
+    """Distance along each pixel's ray at which the nearest mesh, if any, hides all Gaussians behind it."""

@@ -13,11 +13,11 @@ class Ray:
     direction: wp.vec3
     """Direction, unit."""
     t_min: float
-    """Distance along the ray up to which hits are ignored."""
+    """Distance along the ray below which hits are ignored."""
     path_length: float
-    """Length of the path from the eye to the origin, over all bounces."""
+    """Length of the path from the eye to the ray's origin, summed over all bounces, scene units."""
     spread: float
-    """Footprint width over path length: square root of the solid angle of the ray's pixel; 0: a ray without width."""
+    """Width of the ray's footprint per unit of path length: the square root of its pixel's solid angle; 0: no width."""
 
 
 @struct
@@ -25,7 +25,7 @@ class RayData:
     """Rays as arrays, one element for each ray; fields as in ``Ray``."""
 
     is_active: wp.array[wp.bool]
-    """True if the ray exists; if not, its other fields are undefined."""
+    """True if the ray exists; all other fields of an inactive ray are undefined."""
     origin: wp.array[wp.vec3]
     direction: wp.array[wp.vec3]
     t_min: wp.array[float]
@@ -34,13 +34,14 @@ class RayData:
     path_length: wp.array[float]
     spread: wp.array[float]
     normal: wp.array[wp.vec3]
-    """Unit normal, on the ray's side, of the layer of flat Gaussians at which the ray starts.
+    """Unit normal of the layer of flat Gaussians at which the ray starts, on the side to which the ray leaves.
 
-    Gaussians of another layer count even before ``t_min``. Zero: no Gaussian counts before ``t_min``."""
+    Gaussians that do not belong to this layer can be hit even before ``t_min``. Zero: no Gaussian is hit before
+    ``t_min``."""
     sample_key: wp.array[wp.uint32]
-    """Key of the ray's random numbers."""
+    """Key from which the random numbers of the ray are derived; it differs from sample to sample."""
     pixel_key: wp.array[wp.uint32]
-    """Key of the low-discrepancy sequences that all samples of a pixel share."""
+    """Key of the ray's low-discrepancy sequences; all samples of a pixel share it."""
     sample: wp.array[int]
     """Index of the ray's sample in the low-discrepancy sequences of ``pixel_key``, from 0."""
 
@@ -52,16 +53,16 @@ class MeshHits:
     t: wp.array[float]
     """Hit distance; the ray's ``t_max`` if it hits no mesh, and undefined if the ray does not exist."""
     face: wp.array[int]
-    """Index of the triangle in MeshData (first triangle of the mesh plus its own index); -1: no hit."""
+    """Index of the hit triangle among all triangles of MeshData; -1: the ray hits no mesh."""
     instance: wp.array[int]
     """Index of the hit instance among the mesh instances."""
     weights: wp.array[wp.vec2]
-    """Barycentric weights of the triangle's second and third corner at the hit."""
+    """Barycentric weights v and w of the triangle's second and third corner; the first corner has ``1 - v - w``."""
 
 
 @struct
 class GaussianHits:
-    """Blended Gaussians in front of the nearest mesh, one element for each ray."""
+    """Result of blending the Gaussians in front of the nearest mesh, one element for each ray."""
 
     color: wp.array[wp.vec3]
     """Blended colour, premultiplied, display-referred sRGB."""
@@ -69,27 +70,30 @@ class GaussianHits:
     """Sum of the Gaussians' unit normals, weighted like their colours; world space."""
     transmittance: wp.array[float]
     depth: wp.array[float]
-    """Distance of the iso-opacity surface; inf: not reached."""
+    """Distance along the ray to the iso-opacity surface; inf: the opacity does not reach the threshold."""
     gaussian: wp.array[int]
-    """Gaussian at the iso-opacity surface, else the first one blended, as an index over the whole scene; -1: none."""
+    """Gaussian at the iso-opacity surface or, if it is not reached, the frontmost one; -1: no Gaussian.
+
+    The index counts over all splat instances of the scene."""
     hits: wp.array[int]
     """Number of Gaussians blended."""
     relit_color: wp.array[wp.vec3]
-    """Part of ``color`` that relit splat sets contribute.
+    """Part of ``color`` that splat sets with a material lit by the scene (relit sets) contribute.
 
-    The three ``relit`` arrays are empty unless the scene has both relit splat sets and others."""
+    The arrays ``relit_color``, ``relit_weight`` and ``relit_gaussian`` are empty unless the scene also has other splat
+    sets."""
     relit_weight: wp.array[float]
-    """Blending weight of the relit splat sets on the ray."""
+    """Sum of the blending weights of those Gaussians on the ray that belong to relit splat sets."""
     relit_gaussian: wp.array[int]
-    """Gaussian at the iso-opacity surface if its splat set is relit, else the first relit Gaussian on the ray.
+    """Gaussian at the iso-opacity surface if it belongs to a relit splat set, else the ray's frontmost relit Gaussian.
 
-    The index is undefined if ``relit_weight`` is 0."""
+    The index counts over all splat instances; it is undefined if ``relit_weight`` is 0."""
     mean_depth: wp.array[float]
-    """Weighted mean distance of the relit Gaussians on the ray; inf: the ray hits no relit Gaussian.
+    """Mean distance of the relit Gaussians on the ray, weighted like their colours; inf: no relit Gaussian is hit.
 
-    The two ``mean`` arrays are empty unless surfaces are the weighted means of a ray's Gaussians."""
+    ``mean_depth`` and ``mean_finish`` are empty unless shading uses such means instead of the iso-opacity surface."""
     mean_finish: wp.array[wp.vec2]
-    """Weighted mean roughness and metallic of the relit Gaussians on the ray."""
+    """Mean roughness and mean metallic of the relit Gaussians on the ray, weighted like their colours."""
 
 
 @struct
@@ -100,21 +104,22 @@ class HitProfiles:
     """
 
     first: wp.array[int]
-    """Index of each ray's first element, and at last the end of the last ray's elements: one entry more than rays."""
+    """Hits of ray i are the elements ``first[i]`` to ``first[i + 1] - 1`` of the other arrays; one element more than
+    rays."""
     t: wp.array[float]
-    """Distance by which hits are ordered."""
+    """Hit distance along the ray, by which the hits are sorted from front to back."""
     alpha: wp.array[float]
     transmittance: wp.array[float]
-    """Transmittance behind the Gaussian."""
+    """Transmittance of the ray behind the hit Gaussian, including the Gaussian itself."""
     gaussian: wp.array[int]
     """Index of the Gaussian among all Gaussians of the scene."""
 
 
 RELIT_FIELDS = ("relit_color", "relit_weight", "relit_gaussian")
-"""Fields of `GaussianHits` that scenes with both relit and other splat sets need."""
+"""Fields of `GaussianHits` that are filled only in scenes with both relit and other splat sets."""
 
 MEAN_FIELDS = ("mean_depth", "mean_finish")
-"""Fields of `GaussianHits` for frames whose surfaces are the weighted means of a ray's Gaussians."""
+"""Fields of `GaussianHits` that are filled only if the lit surface is the weighted mean of a ray's Gaussians."""
 
 EXTRA_FIELDS = RELIT_FIELDS + MEAN_FIELDS
 """Fields of `GaussianHits` that only some frames need."""
@@ -122,10 +127,11 @@ EXTRA_FIELDS = RELIT_FIELDS + MEAN_FIELDS
 
 @struct
 class Bounce:
-    """Specular reflection and refraction of a ray at a surface."""
+    """Specular reflection and refraction of a ray at a mesh surface: weights, normals and media of both new rays."""
 
     color: wp.vec3
-    """Contribution of the surface's own colour, without bounces: display-referred sRGB, or linear in lit frames."""
+    """Radiance of the surface itself, without reflection and refraction: linear, or display-referred sRGB in unlit
+    frames."""
     reflected: wp.vec3
     """Weight of the reflected ray; zero: no reflected ray."""
     refracted: wp.vec3
@@ -133,7 +139,8 @@ class Bounce:
     normal: wp.vec3
     """Shading normal by which the ray is reflected and refracted; unit, on the ray's side."""
     side: wp.vec3
-    """Geometric normal of the surface; unit, on the ray's side."""
+    """Unit normal of the hit triangle, on the side from which the ray arrives; new rays start on this or the opposite
+    side."""
     eta: float
     """Index of refraction on the ray's side over the index behind the surface, used for refraction."""
     media: wp.vec4i
@@ -143,10 +150,12 @@ class Bounce:
 
 @struct
 class Boundary:
-    """The interface between media that a mesh surface forms for a ray."""
+    """Interface between two media where a ray hits a mesh: indices of refraction, and the media on both sides."""
 
     exists: bool
-    """False: both sides are the same medium, and the ray continues straight."""
+    """False: the same medium is on both sides, for example inside another mesh of higher priority.
+
+    The ray then passes straight through."""
     eta: float
     """Index of refraction on the ray's side over the index behind the surface."""
     media: wp.vec4i
@@ -154,12 +163,12 @@ class Boundary:
     them."""
     media_behind: wp.vec4i
     is_unentered: bool
-    """True if the ray leaves a medium that it never entered."""
+    """True if the ray leaves a mesh that is a medium without having entered it, as from a camera inside glass."""
 
 
 @struct
 class FirstSurface:
-    """First surface on a ray, of Gaussians or of a mesh; fields as in `PixelData`."""
+    """Depth, normal, Gaussian and instance of the first surface on a ray, splats or mesh; fields as in `PixelData`."""
 
     depth: float
     normal: wp.vec3

@@ -34,15 +34,16 @@ class GaussianData:
 
 @struct
 class KernelData:
-    """Kernel function of Gaussians: the response by canonical distance, which also determines their bounds."""
+    """Kernel function of Gaussians: the response as a function of the distance from the mean in standard deviations."""
 
     degree: int
-    """Exponent of the distance, 0 (linear kernel) to 5."""
+    """n of the kernel ``exp(-a d^n)``, 1 to 5, where d is the canonical distance; 0: the linear kernel ``1 - a d``."""
     falloff: float
-    """Coefficient a of the response exp(-a d^degree), or the slope of the linear kernel."""
+    """Coefficient a of the kernel ``exp(-a d^n)``, or of the linear kernel ``1 - a d``; d is the canonical distance."""
     min_response: float
     adaptive: int
-    """1: a Gaussian ends where response times opacity falls to ``min_response``; 0: where the response alone does."""
+    """1: rays ignore a Gaussian where ``opacity * response`` is below ``min_response``; 0: where the response itself
+    is."""
 
 
 @struct
@@ -50,19 +51,19 @@ class SplatInstanceData:
     """One instance of a Gaussian asset: the data that rasteriser, ray tracer and shading need."""
 
     camera_from_object: wp.mat33
-    """Linear part of the transform from object to camera space: rotation times uniform scale."""
+    """Linear part of the transform from object to camera space: a rotation times a uniform scale."""
     camera_from_object_offset: wp.vec3
     object_from_world: wp.mat33
-    """Linear part of the transform from world to object space: rotation times uniform scale."""
+    """Linear part of the transform from world to object space: a rotation times a uniform scale."""
     object_from_world_offset: wp.vec3
     world_from_object: wp.mat33
-    """Rotation from object to world space, without the scale."""
+    """Rotation from object to world space; unlike ``object_from_world``, it does not contain the uniform scale."""
     scale: float
     """Uniform scale from object to world space."""
     eye: wp.vec3
     """Camera's centre of projection in object space."""
     first: int
-    """Index of the instance's first Gaussian among all Gaussians of the scene."""
+    """Index of the instance's first Gaussian when all splat instances are counted one after another."""
     asset: int
     """Index of the instance's asset among the scene's Gaussian assets."""
     kernel: KernelData
@@ -71,22 +72,23 @@ class SplatInstanceData:
     footprint: float
     """Standard deviation by which rays widen Gaussians, in pixel widths; 0: no widening."""
     hit_distance: int
-    """HIT_PEAK, HIT_HULL or HIT_MEAN: the distance at which rays hit the Gaussians."""
+    """Distance at which rays hit the instance's Gaussians: HIT_PEAK, HIT_HULL or HIT_MEAN."""
     sh_degree: int
-    """Highest SH degree that is evaluated."""
+    """Highest SH degree, 0 to 3, at which the instance's colours are evaluated."""
     shows_albedo: int
-    """1: Gaussians show their albedo instead of their SH colour."""
+    """1: the colour of a Gaussian is its stored albedo, for relighting; 0: its captured colour from SH."""
     stored_normals: int
-    """1: use the normals stored in the asset."""
+    """1: the instance is lit by the normals stored with its Gaussians; 0: by normals computed from their shapes."""
     shadow_catcher: int
-    """1: the instance is a shadow catcher; shadow rays that start at a shadow catcher pass it unattenuated."""
+    """1: the instance is a shadow catcher. Shadow rays that start at any shadow catcher pass all shadow catchers
+    unblocked."""
     relit: int
-    """1: the instance is fully relit and shows none of its captured colour."""
+    """1: the instance shows only light that it reflects or emits by its material, and none of its captured colour."""
 
 
 @struct
 class TextureData:
-    """Location of a texture in the texel array of MeshData."""
+    """Place, size and wrapping of one texture within the texel array ``MeshData.texels``."""
 
     first: int
     width: int
@@ -99,7 +101,7 @@ class TextureData:
 
 @struct
 class VariedData:
-    """Transmission, clearcoat and sheen of a material that has a texture for any of them: constants and textures."""
+    """Transmission, clearcoat and sheen of a material: constant factors, and the textures that vary them."""
 
     transmission: float
     transmission_texture: TextureData
@@ -116,7 +118,7 @@ class VariedData:
 
 @struct
 class MeshData:
-    """Meshes of a scene in concatenated arrays, each mesh in its own object space."""
+    """All meshes of a scene, each in its own object space; arrays concatenate the meshes' vertices or triangles."""
 
     positions: wp.array[wp.vec3]
     normals: wp.array[wp.vec3]
@@ -124,7 +126,8 @@ class MeshData:
     colors: wp.array[wp.vec3]
     """Vertex colours, linear."""
     indices: wp.array[wp.vec3i]
-    """Vertex indices of the triangles of all meshes, into the vertex arrays ``positions`` to ``colors``."""
+    """Three vertex indices for each triangle of all meshes; they index ``positions``, ``normals``, ``uvs`` and
+    ``colors``."""
     texels: wp.array[wp.uint32]
     """RGBA8 texels of all textures one after another: sRGB-encoded colours, linear data."""
     linear_from_byte: wp.array[float]
@@ -132,9 +135,11 @@ class MeshData:
     unit_from_byte: wp.array[float]
     """Decoding table from bytes to byte / 255, 256 entries."""
     varied: wp.array[VariedData]
-    """Textured transmission, clearcoat and sheen, one element for each material that has them; element 0 is unused."""
+    """Textured transmission, clearcoat and sheen of materials, indexed by ``SmoothData.varied``; element 0 is unused.
+    """
     sheen_curves: wp.array[wp.vec4]
-    """Table of sheen albedo coefficients by roughness; empty: no texture varies the roughness of a sheen."""
+    """Sheen albedo coefficients for each of a series of sheen roughnesses; empty: no texture varies a sheen's
+    roughness."""
 
 
 @struct
@@ -148,19 +153,18 @@ class AlphaData:
     cutoff: float
     """Smallest alpha that counts as opaque with ALPHA_MASK."""
     is_drawn: int
-    """1: alpha is the probability that a ray or pixel hits the surface.
-
-    0: every ray hits the surface, and the fraction 1 - alpha continues behind it."""
+    """1: a ray hits the surface at random, with probability alpha. 0: every ray hits it, and is continued with 1 -
+    alpha."""
     is_bent: int
-    """1: path rays continue behind the surface as through glass.
+    """1: path rays that alpha lets through continue as through glass, refracted into the mesh.
 
-    Shadow rays that glass blocks then end at the surface whatever its alpha is, because the continuing path rays find
+    Shadow rays that glass may block then end at the surface whatever its alpha is, because the continued path rays find
     the light behind the surface."""
 
 
 @struct
 class SmoothData:
-    """Specular reflection and transmission of a material."""
+    """Specular reflection and transmission of a mesh's material, and the medium inside the mesh."""
 
     smooth: int
     """0: the material neither reflects nor transmits specularly, and the surface shows its base colour."""
@@ -169,15 +173,16 @@ class SmoothData:
     ior: float
     transmission: float
     is_medium: int
-    """1: refracted rays enter the inside of the mesh."""
+    """1: the mesh is filled with a medium, which refracted rays enter; 0: the mesh has no inside."""
     thin_walled: int
-    """1: a wall without an inside, through which rays pass straight."""
+    """1: the surface is a wall without thickness, such as a soap bubble, which rays pass without refraction."""
     priority: int
-    """Priority of the medium inside the mesh where several media overlap."""
+    """Where several media overlap, rays travel in the one of highest priority; of equal ones, in the last one entered.
+    """
     absorption: wp.vec3
     """Absorption coefficient of the medium inside, linear, per scene unit."""
     coat: float
-    """Strength of the clearcoat layer."""
+    """Strength of the clearcoat layer, 0..1."""
     coat_alpha: float
     sheen: float
     """Largest channel of the sheen colour."""
@@ -202,18 +207,18 @@ class MeshInstanceData:
     position: wp.vec3
     """Object origin in world space."""
     low: wp.vec3
-    """Lower corner of a world-space bounding box with a margin for rounding."""
+    """Lower corner of the instance's bounding box, world space, enlarged against rounding."""
     high: wp.vec3
     asset: int
-    """Index of the TriangleBvh that holds the mesh's triangles.
+    """Index, in ``MeshBvh.assets``, of the group of BVHs that holds the mesh's tree.
 
-    Only rays use ``asset``, ``root`` and the other fields of this struct that follow."""
+    Only ray tracing reads ``asset``, ``root``, and the fields declared after them."""
     root: int
-    """Root node of the mesh's tree in TriangleBvh ``asset``."""
+    """Index of the root of the mesh's tree among the nodes of ``TriangleBvh`` number ``asset``."""
     first: int
-    """Index of the instance's first triangle among all triangles of the scene."""
+    """Index of the instance's first triangle when all mesh instances are counted one after another."""
     face_first: int
-    """Index of the mesh's first face in MeshData."""
+    """Index of the mesh's first triangle in ``MeshData.indices``."""
     has_normals: int
     base_color: wp.vec3
     """Base colour factor, linear."""

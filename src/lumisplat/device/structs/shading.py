@@ -22,50 +22,50 @@ class LightData:
     direction: wp.vec3
     """Unit vector: axis of a spot, travel direction of a directional light, normal of a rectangle or disk."""
     power: wp.vec3
-    """Linear Rec.709 intensity; its unit depends on the type of light.
+    """Intensity of the light per colour channel, linear Rec.709, in a unit that depends on the type of light.
 
-    Candela for point lights and spots, lux for directional lights and the headlight, radiance for rectangles and disks,
-    factor of the image for the environment."""
+    Candela for point lights and spots, lux for directional lights and the headlight, radiance for rectangles and disks.
+    For the environment it is the factor of the image's radiance."""
     edge_u: wp.vec3
     edge_v: wp.vec3
     range: float
-    """Distance at which the light of a point light or spot ends; inf: it does not end.
+    """Distance at which a point light or spot has faded to 0, scene units; inf: it never does.
 
-    For infinitely distant lights, it is the largest distance at which objects block them."""
+    For directional lights and environments: distance up to which objects cast shadows."""
     radius: float
     """Radius of a point light, spot or disk, scene units; angular radius of a directional light, radians."""
     inner: float
-    """1 - cosine of the angle from a spot's axis within which it has its full intensity."""
+    """1 - cosine of the half angle of a spot's inner cone, within which it has its full intensity."""
     outer: float
-    """1 - cosine of the angle from a spot's axis beyond which the spot is dark.
+    """1 - cosine of the half angle of a spot's outer cone, beyond which it is dark.
 
-    Angles are stored as 1 - cosine, because the cosines themselves would lose digits for narrow cones."""
+    1 - cosine keeps digits for narrow cones, which the cosine itself would lose."""
     casts_shadow: int
     visible: int
-    """1: path rays can hit the light, as a flat shape or a sphere."""
+    """1: rays of path tracing can hit the light's shape, a rectangle, disk or sphere. 0: it is only sampled."""
 
 
 @struct
 class EnvironmentData:
-    """The environment map and its tables for importance sampling by brightness."""
+    """The environment map and its CDF tables for importance sampling by brightness."""
 
     exists: int
     """0: there is no environment."""
     visible: int
     """1: camera rays see the environment."""
     world_from_environment: wp.mat33
-    """Rotation of the environment."""
+    """Rotation from the axes of the environment's image to world axes."""
     power: wp.vec3
-    """Factor of the image's radiance."""
+    """Factor, per channel, by which the image's radiance is multiplied."""
     mean: float
     """Mean luminance of the environment over all directions."""
     texels: wp.array[wp.vec3]
     width: int
     height: int
     row_ends: wp.array[float]
-    """Marginal CDF over the rows of the image: fraction of the light up to the end of each row."""
+    """Marginal CDF over image rows: fraction of the image's light in this row and all rows above."""
     column_ends: wp.array[float]
-    """Conditional CDF within each row of the image: fraction of the row's light up to the end of each texel."""
+    """Conditional CDF of each row: fraction of the row's light in this texel and all texels left of it."""
 
 
 @struct
@@ -79,9 +79,11 @@ class EmitterTriangle:
     across: wp.vec3
     """Cross product of the edges; its length is twice the triangle's area."""
     lift: float
-    """Factor of ``across`` by which sample points are lifted off the triangle, so that shadow rays do not hit it."""
+    """Sample points are moved off the triangle by ``lift * across``, so that shadow rays to them do not hit the
+    triangle."""
     inside: wp.vec3
-    """Smallest barycentric weights of sample points; points closer to an edge could lie behind an adjacent wall."""
+    """Smallest barycentric weight, per corner, of sample points; nearer to an edge they could lie behind an adjacent
+    wall."""
 
 
 @struct
@@ -89,12 +91,13 @@ class EmitterData:
     """Emissive triangles of all meshes, and the CDF that samples them by power."""
 
     ends: wp.array[float]
-    """Cumulative fraction of the power up to the end of each triangle; empty: no mesh is emissive."""
+    """CDF over emissive triangles: fraction of the power in this triangle and all before it; empty: no mesh is
+    emissive."""
     triangles: wp.array[EmitterTriangle]
     instances: wp.array[int]
-    """Mesh instance of each triangle."""
+    """Index of the mesh instance that each emissive triangle belongs to."""
     first: wp.array[int]
-    """First emissive triangle of each mesh instance; -1: the instance is not emissive."""
+    """Index of the first emissive triangle of each mesh instance; -1: the instance is not emissive."""
     power: float
     """Sum of luminance times area over all emissive triangles."""
     center: wp.vec3
@@ -111,9 +114,11 @@ class LightSample:
     distance: float
     """Distance to the light; inf: infinitely far."""
     irradiance: wp.vec3
-    """Unshadowed irradiance of a surface facing the light; a Monte Carlo estimate if the sample is random."""
+    """Unshadowed irradiance from the sampled direction on a surface that faces it.
+
+    If the direction is random, it is a Monte Carlo estimate, already divided by the pdf."""
     pdf: float
-    """Probability density of the direction, per steradian; 0 for a light with a single direction (delta light)."""
+    """Pdf of the sampled direction, per steradian; 0 if the light has only one direction (delta light)."""
 
 
 @struct
@@ -121,36 +126,39 @@ class Bsdf:
     """Parameters of the BSDF at a surface point."""
 
     model: int
-    """BSDF_SIMPLE or BSDF_PBR."""
+    """Reflection model: BSDF_SIMPLE (Phong) or BSDF_PBR (metallic-roughness)."""
     diffuse: wp.vec3
-    """Diffuse albedo; for BSDF_PBR before the specular reflection is subtracted."""
+    """Albedo of the diffuse lobe. In BSDF_PBR, only light that is not reflected specularly reaches this lobe."""
     specular: wp.vec3
     """BSDF_SIMPLE: albedo of the highlight. BSDF_PBR: reflectance at normal incidence."""
     grazing: float
     """BSDF_PBR: reflectance at grazing incidence."""
     alpha: float
-    """BSDF_PBR: GGX alpha, roughness squared; 0: a smooth surface, whose specular reflection is traced as bounces."""
+    """BSDF_PBR: GGX alpha, roughness squared. 0: smooth; its mirror reflection is traced by rays and not part of the
+    BSDF."""
     shininess: float
     """BSDF_SIMPLE: Phong exponent of the highlight."""
     dielectric: float
-    """BSDF_PBR: strength of the dielectric reflection; light that is not reflected reaches the diffuse lobe."""
+    """BSDF_PBR: factor of the Fresnel reflection of a dielectric; light that it does not reflect reaches the diffuse
+    lobe."""
     eta: float
     """BSDF_PBR: index of refraction on the viewer's side over the index behind the surface."""
     mean_mirrored: float
-    """BSDF_PBR: fraction of constant illumination from the hemisphere that the dielectric reflects specularly."""
+    """BSDF_PBR: fraction of light, constant over the hemisphere, that the dielectric reflects specularly."""
     transmitted: wp.vec3
-    """Rough BSDF_PBR: fraction of the entering light that is transmitted.
+    """BSDF_PBR, rough surface: fraction, per channel, of the light entering the surface that passes through it.
 
-    Zero means no transmission; ``thin_walled``, ``metallic`` and ``metal`` are then undefined."""
+    Zero means that none does; ``thin_walled``, ``metallic`` and ``metal`` are then undefined."""
     thin_walled: bool
     """True if transmitted light passes straight through; false if it is refracted."""
     metallic: float
     metal: wp.vec3
     """Reflectance of the metal at normal incidence, times ``metallic``."""
     rescattered: wp.vec3
-    """Rough BSDF_PBR: fraction of the single-scattering energy loss that multiple scattering returns; zero: none."""
+    """BSDF_PBR, rough metal: fraction of the energy lost by single scattering that multiple scattering adds; zero:
+    none."""
     coat: float
-    """Strength of the clearcoat."""
+    """Strength of the clearcoat layer, 0..1; 0: no clearcoat."""
     coat_alpha: float
     """GGX alpha of the clearcoat."""
     sheen: wp.vec3
@@ -158,7 +166,7 @@ class Bsdf:
     sheen_alpha: float
     """Roughness of the sheen, squared."""
     sheen_curve: wp.vec4
-    """Sheen albedo: polynomial coefficients of its logarithm in the cosine."""
+    """Coefficients of a polynomial in the cosine of the view, whose exponential is the albedo of white sheen."""
 
 
 @struct
@@ -186,16 +194,17 @@ class MaterialData:
     """A material; one for each splat or mesh instance, in the order of the scene's instances."""
 
     model: int
-    """BSDF_SIMPLE or BSDF_PBR."""
+    """Reflection model: BSDF_SIMPLE (Phong) or BSDF_PBR (metallic-roughness)."""
     emits_capture_only: int
-    """1: splats emit their captured colours and reflect no light."""
+    """1: a splat set that shows its captured colours unchanged and reflects no light, as in all unlit frames."""
     keeps_capture: int
-    """1: splats emit their captured colours and add the light that they reflect."""
+    """1: a splat set that shows its captured colours, plus light that it reflects if its material does; 0: it is
+    relit."""
     shadow_catcher: int
-    """1: splats are shadow catchers: they show captured colours, darkened where lights are blocked."""
+    """1: a splat set that is a shadow catcher: its captured colours, darkened where added objects block light."""
     emissive: wp.vec3
     double_sided: int
-    """1: triangles also emit from their back sides."""
+    """1: triangles emit from both sides; 0: only from their front sides."""
     ambient: wp.vec3
     diffuse: wp.vec3
     specular: wp.vec3
@@ -203,14 +212,15 @@ class MaterialData:
     metallic: float
     roughness: float
     specular_strength: float
-    """Strength of the dielectric reflection."""
+    """BSDF_PBR: factor of the Fresnel reflection of the dielectric."""
     ior: float
     fresnel_mean: float
-    """Fraction of constant hemispherical illumination that a smooth dielectric with the material's ``ior`` reflects."""
+    """Fraction of light, constant over the hemisphere, that a smooth dielectric with the material's ``ior`` reflects.
+    """
     transmission: float
     thin_walled: int
     compensates: int
-    """1: rough metals are compensated for the energy loss of single scattering."""
+    """1: rough metals also reflect the energy that single scattering loses (Kulla and Conty 2017)."""
     coat: float
     coat_alpha: float
     sheen: wp.vec3
@@ -226,7 +236,7 @@ class MaterialData:
 
 @struct
 class SplatAttributes:
-    """Attributes of an asset's Gaussians that shading reads; empty arrays: the asset lacks them."""
+    """Attributes of one asset's Gaussians that shading reads; an array is empty if the asset lacks the attribute."""
 
     means: wp.array[wp.vec3]
     scales: wp.array[wp.vec3]
@@ -240,29 +250,27 @@ class ShadingSettings:
     """Settings of shading, in a 1-element array."""
 
     is_lit: int
-    """0: all surfaces show their unlit, display-referred colour."""
+    """0: no lights; splats and meshes show their captured or base colours, display-referred."""
     background: wp.vec3
-    """Display-referred sRGB colour behind the scene; black if there is no background."""
+    """Display-referred sRGB colour behind the scene; black if the frame has a transparent background."""
     camera_sees: int
-    """Light that camera rays see behind the scene: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING."""
+    """What camera rays that hit nothing show: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING (transparent)."""
     light_count: int
     absorbs: int
-    """1: a medium inside some mesh absorbs light."""
+    """1: some mesh contains a medium with absorption, so that rays must record the media that they are in."""
     soft: int
-    """1: lights are sampled over their extent (soft shadows)."""
+    """1: lights with an extent are sampled over it (soft shadows); 0: at their centres (hard shadows)."""
     more_draws: int
-    """Number of extra directions in which each interaction samples an environment that casts no shadow."""
+    """An environment without shadows is sampled in ``1 + more_draws`` directions at each surface point."""
     changes_shadows: int
-    """1: light samples and scattered rays cannot be combined by MIS.
-
-    Shadow rays then use a threshold or a tint that the scattered rays do not use."""
+    """1: MIS of light samples with scattered rays is off, because shadow rays use a threshold or tint that other rays
+    do not."""
     capture_gain: float
-    """Factor of the captured radiance where it lights other surfaces; direct views of the capture are unchanged."""
+    """Factor of splats' captured radiance as light on other surfaces; camera and mirror rays see it unchanged."""
     shadow_offset: float
-    """Distance from a surface of Gaussians within which Gaussians do not shadow it, in multiples of their largest
-    scale."""
+    """A Gaussian casts no shadow on a surface of Gaussians nearer than ``shadow_offset`` times its largest scale."""
     shadow_offset_absolute: float
-    """Distance in scene units, added to ``shadow_offset`` times the largest scale."""
+    """Distance in scene units that is added to ``shadow_offset`` times a Gaussian's largest scale."""
 
 
 @struct
@@ -273,7 +281,7 @@ class ShadingScene:
     sample: wp.array[SampleData]
     splats: wp.array[SplatInstanceData]
     attributes: wp.array[SplatAttributes]
-    """Attributes of each Gaussian asset."""
+    """For each Gaussian asset, the attributes of its Gaussians that shading reads."""
     mesh_instances: wp.array[MeshInstanceData]
     meshes: MeshData
     materials: wp.array[MaterialData]
@@ -285,66 +293,79 @@ class ShadingScene:
 
 @struct
 class SplatSurface:
-    """Surface of the Gaussians in front of the nearest mesh on a ray, and their captured colours."""
+    """The Gaussians on a ray as one surface that lights change, and the captured colours that the ray shows besides.
+
+    The Gaussians are those in front of the nearest mesh.
+    """
 
     instance: int
-    """Index of the surface's instance or, without a surface, of the first Gaussian's; -1: no Gaussian on the ray."""
+    """Index of the surface's splat instance. Without a surface, it is that of the frontmost Gaussian; -1: no Gaussian.
+    """
     gaussian: int
-    """Index in its asset of the Gaussian whose appearance lights change; -1: none."""
+    """Index, in its asset, of the Gaussian that stands for the lit surface; -1: lights change none of the ray's
+    Gaussians."""
     depth: float
-    """Distance of the surface along the ray, scene units."""
+    """Distance along the ray at which the surface is lit, scene units; inf: no surface."""
     is_mean: bool
-    """True if the surface is the weighted mean of all relit Gaussians on the ray."""
+    """True if depth and material are weighted means of all relit Gaussians on the ray; false: of the iso-opacity
+    surface."""
     transmittance: float
     captured: wp.vec3
-    """Captured colour, display-referred sRGB, premultiplied by ``weight``.
+    """Captured colour that the ray shows, display-referred sRGB, premultiplied by ``weight``.
 
-    If nothing else lies behind the Gaussians, the colour is composited over the background."""
+    If neither a mesh nor an environment lies behind the Gaussians, it includes the background."""
     weight: float
-    """Fraction of the ray's colour that is captured colour."""
+    """Fraction of the ray that ``captured`` covers: its alpha, 0..1."""
     captured_share: float
-    """Blending weight of the Gaussians that show their captured colour."""
+    """Sum of the blending weights of those Gaussians on the ray that show their captured colour."""
     albedo: wp.vec3
-    """Linear, non-premultiplied base colour of the Gaussians that lights change."""
+    """Linear base colour, not premultiplied, of those Gaussians on the ray that lights change."""
     share: float
-    """Blending weight of the Gaussians that lights change."""
+    """Sum of the blending weights of those Gaussians on the ray that lights change."""
 
 
 @struct
 class Interaction:
-    """Interaction of a ray with a surface: all data about the ray and the surface that lighting reads."""
+    """Surface point that a ray hits: position, normals, BSDF and all else that lighting reads."""
 
     exists: bool
-    """True if there is a surface that reflects light."""
+    """False: the ray hits no surface that reflects light, and all other fields are undefined."""
     position: wp.vec3
-    """Position, world space."""
+    """Position of the surface point, world space."""
     normal: wp.vec3
     """Shading normal, world space, unit, on the side of ``wo``."""
     horizon_normal: wp.vec3
-    """Normal of the plane below which no light arrives; world space, unit, on the side of ``wo``.
+    """Unit normal of the plane below which no light arrives, world space, on the side of ``wo``.
 
-    It is the interpolated normal without the normal map, or the triangle's normal if the mesh has no vertex normals."""
+    On a mesh, it is the interpolated vertex normal without the normal map, or the triangle's normal if there are no
+    vertex normals; on Gaussians, the shading normal."""
     geometric_normal: wp.vec3
-    """Normal of the triangle, world space, unit, on the side of ``wo``; for Gaussians the shading normal."""
+    """Unit normal of the hit triangle or, for Gaussians, the shading normal; world space, on the side of ``wo``."""
     smooth_height: float
-    """Height of a mesh's smooth surface above its triangle along ``horizon_normal``, scene units."""
+    """Height of the smooth surface that the vertex normals describe above the flat triangle, scene units; 0 for
+    Gaussians.
+
+    The height is measured along ``horizon_normal``; shadow rays may start that high, to soften the shadow terminator.
+    """
     wo: wp.vec3
-    """Outgoing direction, unit: back along the ray."""
+    """Unit direction from the surface back along the ray, world space."""
     bsdf: Bsdf
     weight: float
-    """Weight of the reflected light in the ray's colour."""
+    """Factor of the light that the surface reflects in the ray's radiance: the transmittance before it times its
+    coverage."""
     occlusion: float
-    """Fraction of the environment's light that arrives (ambient occlusion)."""
+    """Fraction of the environment's light that reaches the surface, by the material's ambient occlusion texture; else
+    1."""
     shadow_catcher: bool
     """True if the surface is a shadow catcher: it reflects no light and is only darkened where lights are blocked."""
 
 
 @struct
 class Interactions:
-    """Interactions of a wave of rays, two for each ray: written once and read by every light.
+    """Surface points that a wave of rays hits, two for each ray, as arrays with the fields of ``Interaction``.
 
-    The first half of each array holds the surfaces of the Gaussians, one for each ray; the second half the meshes
-    behind the Gaussians. Fields are as in ``Interaction``.
+    With n rays, element i is the surface of the Gaussians on ray i, and element n + i the mesh behind them. The arrays
+    are written once and read for every light.
     """
 
     exists: wp.array[wp.bool]
@@ -364,15 +385,15 @@ class Interactions:
     transmitted: wp.array[wp.vec3]
     """``Bsdf.transmitted`` of each interaction.
 
-    The arrays ``transmitted``, ``thin_walled``, ``metallic`` and ``metal`` are empty unless rough surfaces transmit."""
+    ``transmitted``, ``thin_walled``, ``metallic`` and ``metal`` are empty if the scene has no rough glass."""
     thin_walled: wp.array[wp.bool]
     metallic: wp.array[float]
     metal: wp.array[wp.vec3]
     rescattered: wp.array[wp.vec3]
     """``Bsdf.rescattered`` of each interaction.
 
-    The arrays from ``rescattered`` to ``sheen_curve`` are empty unless there is clearcoat, sheen or an
-    energy-compensated rough metal."""
+    The arrays from ``rescattered`` to ``sheen_curve`` are empty if no material has clearcoat or sheen, and rough metals
+    are not energy-compensated."""
     coat: wp.array[float]
     coat_alpha: wp.array[float]
     sheen: wp.array[wp.vec3]
@@ -382,158 +403,162 @@ class Interactions:
     occlusion: wp.array[float]
     shadow_catcher: wp.array[wp.bool]
     spawn_point: wp.array[wp.vec3]
-    """Origin of shadow rays.
+    """Origin of shadow rays from each interaction, world space.
 
-    The ``spawn`` arrays and ``geometric_normal`` are empty in frames without shadow rays."""
+    ``spawn_point``, ``spawn_t_min`` and ``geometric_normal`` are empty in frames without shadow rays."""
     spawn_t_min: wp.array[float]
-    """Distance along shadow rays within which Gaussians of the surface's own layer do not block, scene units."""
+    """Distance along a shadow ray up to which Gaussians of the layer where it starts do not block it, scene units."""
     geometric_normal: wp.array[wp.vec3]
-    """Unit normal of the triangle or, for Gaussians, of their layer; on the side of the ray.
+    """Unit normal of the hit triangle or of the layer of flat Gaussians, world space, on the side of the arriving ray.
 
-    The normal is zero for Gaussians that are not flat or are seen from behind."""
+    It is zero if the Gaussian at the surface is not flat or is seen from behind."""
     smooth_height: wp.array[float]
 
 
 @struct
 class Contribution:
-    """Unshadowed contribution of a light to the radiance of a ray."""
+    """Radiance that an unshadowed light adds to a ray at a surface, with direction and length of the shadow ray."""
 
     direction: wp.vec3
     """Direction from the surface, unit."""
     distance: float
     color: wp.vec3
-    """Linear contribution; zero: no shadow ray is needed."""
+    """Linear radiance that the light adds to the ray if nothing blocks it; zero: no shadow ray is needed."""
 
 
 @struct
 class RayRadiance:
-    """Radiance of rays: display-referred captured colours, and linear light in separate arrays."""
+    """Radiance of a wave of rays; display-referred captured colour and linear light are in separate arrays."""
 
     captured: wp.array[wp.vec3]
     """Captured colour, display-referred sRGB, premultiplied by ``captured_weight``.
 
-    In an unlit wave, it is the whole radiance."""
+    In an unlit frame, it holds all colours of the ray, including meshes and background."""
     captured_weight: wp.array[float]
     light: wp.array[wp.vec3]
-    """Linear light of meshes and the environment, plus changes of captured colours.
+    """Linear light of meshes, environment and relit splats, and changes of captured colours.
 
-    The changes are negative where added objects block light."""
+    Changes are negative where added objects block light from the captured colours."""
     alpha: wp.array[float]
-    """1 - weight of the background."""
+    """1 - transmittance of the Gaussians; 1 if a mesh or an environment that the camera sees lies behind them."""
     capture_factor: wp.array[wp.vec3]
-    """Fraction of the captured colour that remains after shadows; empty if no splat set is a shadow catcher."""
+    """Factor of the captured colour per channel: below 1 in new shadows; empty if no splat set is a shadow catcher."""
     captured_all: wp.array[wp.vec3]
-    """Linear captured colour.
+    """Linear captured colour of each ray.
 
-    The arrays from ``captured_all`` to ``open`` are empty unless path tracing measures light on shadow catchers."""
+    All arrays from ``captured_all`` to ``open`` are empty unless path tracing measures light on shadow catchers."""
     captured_part: wp.array[wp.vec3]
-    """Part of ``captured_all`` that a shadow catcher contributes."""
+    """The part of each ray's linear captured colour that comes from a shadow catcher."""
     received: wp.array[wp.vec3]
-    """1 where the path measured the irradiance of a shadow catcher, else 0."""
+    """1 if the path of the ray measured the irradiance of a shadow catcher, else 0; equal in all channels."""
     unshadowed: wp.array[wp.vec3]
-    """Irradiance of the shadow catcher by lights, without the added objects."""
+    """Irradiance of the ray's shadow catcher by the scene's lights as if the added objects were absent."""
     shadowed: wp.array[wp.vec3]
-    """Irradiance of the shadow catcher by lights, with all added objects."""
+    """Irradiance of the ray's shadow catcher by the scene's lights with all added objects present."""
     emitted_unshadowed: wp.array[wp.vec3]
-    """Irradiance of the shadow catcher by the radiance of surrounding captures, without the added objects."""
+    """Irradiance of the ray's shadow catcher by surrounding splats' captured colours, without added objects."""
     emitted_shadowed: wp.array[wp.vec3]
-    """Irradiance of the shadow catcher by surrounding captures, with all added objects and the light that they emit."""
+    """Irradiance of the ray's shadow catcher by captured colours and by the added objects, which emit and block light.
+    """
     ambient: wp.array[wp.vec3]
-    """Ambient irradiance of the shadow catcher."""
+    """Ambient irradiance of the ray's shadow catcher, as the scene specifies it, without added objects."""
     open: wp.array[wp.vec3]
-    """Part of ``ambient`` that no added object blocks."""
+    """Part of the shadow catcher's ambient irradiance that is left because no added object blocks it."""
     reflection: wp.array[wp.vec3]
-    """Part of ``light`` from specular bounces; empty unless the frame has this light layer."""
+    """Part of ``light`` that mirror reflection and refraction contribute; empty unless the frame outputs this light
+    layer."""
     albedo: wp.array[wp.vec3]
-    """Linear base colour of the surfaces; empty unless the frame has this layer."""
+    """Linear base colour of the surfaces on the ray; empty unless the frame outputs the albedo layer."""
     emission: wp.array[wp.vec3]
-    """Linear emission plus reflected ambient light; empty unless the frame has this layer."""
+    """Linear emission plus reflected ambient light on the ray; empty unless the frame outputs the emission layer."""
 
 
 @struct
 class WaveData:
-    """A wave of rays, in a 1-element array, which shading kernels take by reference.
+    """A wave of rays, all of one bounce, with hits and radiance; a 1-element array that kernels take by reference.
 
     By value, compilers would copy the descriptors of all arrays for each ray, which costs more than the shading itself.
     """
 
     from_camera: int
-    """1: the rays are camera rays, not reflected or refracted ones."""
+    """1: the wave consists of camera rays; 0: of rays from surfaces."""
     traces_paths: int
-    """1: the path integrator continues each path behind this wave with one ray.
-
-    The path integrator, instead of this wave's shading, then adds the light of the environment."""
+    """1: the path integrator traces the wave, continues each path by one ray, and adds the environment's light itself.
+    """
     may_branch: int
-    """1: smooth meshes spawn reflected and refracted rays where their weight is large enough."""
+    """1: smooth meshes spawn reflected and refracted rays if these still contribute enough to the pixel; 0: none are
+    spawned."""
     rays: RayData
     meshes: MeshHits
     gaussians: GaussianHits
     interactions: Interactions
     radiance: RayRadiance
     path_weights: wp.array[float]
-    """Largest channel of each ray's weight in its pixel."""
+    """Largest channel of the factor by which each ray's radiance enters the colour of its pixel."""
     weights: wp.array[wp.vec3]
-    """Weight of each ray in the colour of its parent ray; empty in the first wave."""
+    """Factor, per channel, of each ray's radiance in the colour of the ray that spawned it; empty for camera rays."""
     media: wp.array[wp.vec4i]
-    """Media that each ray is inside of: mesh instance indices plus one; empty: no ray is in a medium."""
+    """Up to four media that each ray is inside of: mesh instance indices plus one, 0: none; empty if no mesh is a
+    medium."""
     unentered: wp.array[int]
-    """1 for mesh instances that a camera ray leaves without having entered them.
+    """Per mesh instance, 1 if a camera ray leaves its medium without having entered it, as from a camera inside glass.
 
-    The array is empty in other waves and in scenes without media."""
+    The array is empty for other rays than camera rays and in scenes without media."""
     spawns_lobes: int
-    """1: rough surfaces spawn one ray inside their highlight."""
+    """1: rough surfaces spawn one random ray within their highlight; 0: none."""
     sees_environment: wp.array[wp.bool]
-    """True if the ray sees the environment and the background; empty if all rays do."""
+    """False for rays that must not add the environment or background they escape to; empty: all rays add it."""
     branches: wp.array[int]
-    """Number of rays, 0 or 1, of each kind that each ray spawns.
+    """Number of rays, 0 or 1, that each ray spawns by reflection, by refraction and within a highlight.
 
-    The array has one section per kind, each with one element per ray: reflected rays, refracted rays and, in frames
-    that have them, rays within highlights."""
+    With n rays, the elements are n for reflection, n for refraction and, in frames with highlight rays, n for these."""
     branch_ends: wp.array[int]
-    """Inclusive prefix sum of ``branches``: one more than the index of the spawned ray in the next wave."""
+    """Inclusive prefix sum of ``branches``; minus one, it is the index of the spawned ray in the next wave."""
 
 
 @struct
 class CatcherIrradiance:
-    """Irradiance of shadow catchers; empty arrays in frames without them."""
+    """Irradiance of shadow catchers by lights and ambient light, one element for each ray; empty if there are none."""
 
     unshadowed: wp.array[wp.vec3]
-    """Irradiance without shadows of added objects."""
+    """Irradiance of the shadow catcher by lights as if the added objects were absent."""
     shadowed: wp.array[wp.vec3]
-    """Irradiance with shadows of added objects."""
+    """Irradiance of the shadow catcher by lights with all added objects present."""
     open: wp.array[wp.vec3]
-    """Sum of the transmittances of the ambient rays that start at the shadow catcher."""
+    """Sum of the transmittances, 0..1 each, of the rays that test how much ambient light reaches the shadow catcher."""
     reflectance: wp.array[wp.vec3]
-    """Captured radiance over the irradiance that the surface received while it was captured."""
+    """Captured radiance divided by the irradiance that lit the shadow catcher when it was captured."""
 
 
 @struct
 class PathVertex:
-    """A surface point of a path, reduced to what light selection needs."""
+    """A surface point of a path, reduced to position, normal and importance, by which a light is selected."""
 
     position: wp.vec3
-    """Position, world space."""
+    """Position of the surface point, world space."""
     normal: wp.vec3
-    """Normal, unit, on the viewer's side."""
+    """Unit normal of the surface point on the viewer's side; zero if light from both sides counts (rough glass)."""
     importance: float
-    """Estimated irradiance by all lights."""
+    """Sum over all lights of the estimated irradiance at the surface point, the normaliser of the selection
+    probabilities."""
 
 
 @struct
 class LightCrossing:
-    """Intersection of a ray with a light."""
+    """Intersection of a ray with the shape of a light: distance, radiance and pdf."""
 
     t: float
     """Distance along the ray; inf: the ray misses the light."""
     radiance: wp.vec3
     pdf: float
-    """Pdf with which sampling the light would choose this direction, per steradian."""
+    """Pdf, per steradian, with which sampling the light would have chosen the ray's direction, for MIS."""
 
 
 @struct
 class LightChoice:
-    """A randomly selected light."""
+    """A light selected at random, and the probability of the selection."""
 
     number: int
-    """Index of the light; -1: no light contributes here."""
+    """Index of the selected light; emissive triangles together are one light after all others. -1: no light
+    contributes."""
     probability: float
