@@ -401,8 +401,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
         rays: RayData,
         first: int,
     ) -> int:
-        """Adds each ray's hit with a Gaussian to the ray's list of nearest hits, and drops the farthest of a full
-        list.
+        """Adds each ray's hit with a Gaussian to the ray's list of nearest hits; a full list drops its farthest hit.
 
         Returns 1 if any ray hits the Gaussian, else 0. ``first`` is the index of the packet's first ray in ``rays``.
         """
