@@ -15,7 +15,7 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 class Purpose(IntEnum):
-    """Purpose of random numbers.
+    """What random numbers of a view are for, such as its pose; part of the seed of `Draws`.
 
     Each purpose has a separate stream, so that a setting for one purpose does not change the numbers of another.
     """
@@ -53,7 +53,7 @@ class Draws:
         return ends[0] + (ends[1] - ends[0]) * self.unit()
 
     def factor(self, ends: Span) -> float:
-        """Returns a number between the two positive numbers ``ends``, with a uniformly distributed logarithm."""
+        """Returns a random factor between the two positive numbers ``ends``, uniform in its logarithm."""
         return math.exp(self.between((math.log(ends[0]), math.log(ends[1]))))
 
     def whole(self, ends: WholeSpan) -> int:
@@ -72,10 +72,9 @@ class Draws:
 
 
 def split_of(seed: int, view: int, shares: tuple[float, float, float]) -> str:
-    """Returns the split of a view: ``train``, ``val`` or ``test``.
+    """Returns the split of a view at random: ``train``, ``val`` or ``test``, with the probabilities ``shares``.
 
-    A Kronecker sequence assigns the splits, so that any run of consecutive views is divided nearly in the given
-    fractions.
+    The golden ratio sequence spreads the splits evenly: any run of consecutive views has nearly the given fractions.
 
     Args:
         seed: Seed of the data set.

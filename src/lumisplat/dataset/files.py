@@ -24,7 +24,7 @@ from lumisplat.scene.lights import Light
 
 
 class LayerFiles(NamedTuple):
-    """Folder, file extension and meaning of the files of a layer."""
+    """Where the files of a layer are and what they mean: folder, extension, and one line for ``layers.json``."""
 
     folder: str
     extension: str
@@ -56,7 +56,7 @@ LAYER_FILES = {
         "32-bit: linear Rec.709 R G B A, neither exposed nor tone-mapped; depth.Z along rays, normals in world axes",
     ),
 }
-"""Files of every layer, by the name of the layer."""
+"""Folder, extension and meaning of every layer's files, by the name of the layer, such as ``depth``."""
 
 VIEW_FOLDER = "views"
 
@@ -113,7 +113,7 @@ def write_view(folder: Path, view: DatasetView, frame: Frame, config: DatasetCon
 
 
 def _write_layer(path: Path, layer: str, frame: Frame) -> None:
-    """Writes a layer that is computed from the frame's AOVs."""
+    """Writes one layer of a view, such as depth or normals, from the rendered frame."""
     if layer == "depth":
         with atomic_write(path) as temporary, Path(temporary).open("wb") as file:
             np.save(file, depth_along_z(frame), allow_pickle=False)
@@ -148,7 +148,10 @@ def normals_as_bytes(frame: Frame) -> npt.NDArray[np.uint8]:
 
 
 def _record(view: DatasetView, ids: npt.NDArray[np.uint16], config: DatasetConfig) -> dict[str, Any]:
-    """Returns the content of a view's JSON file."""
+    """Returns the content of a view's JSON file: camera, lights, labels, split and file names.
+
+    ``ids`` is the image of object ids, shape (H, W).
+    """
     camera = view.camera
     return {
         "view": view.index,
@@ -174,7 +177,10 @@ def _record(view: DatasetView, ids: npt.NDArray[np.uint16], config: DatasetConfi
 
 
 def _object_record(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
-    """Returns the JSON entry of an object, with the bounding box of its visible pixels."""
+    """Returns the JSON entry of an object, with the bounding box of its visible pixels.
+
+    ``ids`` is the image of object ids, shape (H, W).
+    """
     rows, columns = np.nonzero(ids == thing.id)
     box = None
     if rows.size:

@@ -46,7 +46,7 @@ class DatasetSummary:
     missing: int
     """Number of views not rendered yet; if it is above 0, no summary file was written."""
     left_out: int
-    """Number of objects for which no free position was found."""
+    """Number of objects, over all views, for which no free position was found."""
     shards: tuple[Path, ...] = ()
 
 
@@ -194,7 +194,7 @@ def _write_shard(path: Path, folder: Path, records: Sequence[Mapping[str, Any]])
 
 
 def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
-    """Returns the files of a view by their name in a shard: the view's name, the layer, and the extension."""
+    """Returns the files of a view by their names in a shard, such as ``view_000012.depth.npy``."""
     name, files = view_name(record["view"]), record["files"]
     members: dict[str, Path] = {}
     for layer, file in files.items():
@@ -205,9 +205,9 @@ def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
 
 
 _SHEET_TILES = 48
-"""Largest number of images on the contact sheet."""
+"""Largest number of images on the contact sheet; a view has one for each of its layers."""
 _SHEET_COLUMNS = 8
-"""Approximate number of images in a row of the contact sheet."""
+"""Number of images in a row of the contact sheet, reduced to a multiple of a view's number of layers."""
 _TILE_WIDTH = 200
 """Width of an image on the contact sheet, pixels."""
 _FAR, _NEAR = 0.1, 1.0
@@ -216,7 +216,7 @@ _NOT_ON_SHEET = ("exr",)
 
 
 def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
-    """Writes a contact sheet: each view with its layers side by side.
+    """Writes a contact sheet of the first views: for each view, its colour image and layers side by side.
 
     Depth is shown as grey values, the nearest surface white. Each id is shown in a different colour.
 

@@ -14,37 +14,36 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance, bulk_extent
 
 BOX_TAIL = 0.002
-"""Fraction of a capture's total opacity that may lie beyond each face of its box, so that stray Gaussians do not
-enlarge the box.
-"""
+"""Fraction of a capture's total opacity left outside of each face of its bounding box, to ignore stray Gaussians."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DatasetThing:
-    """Labels of one object in a view: a capture or mesh of the scene, or an inserted object."""
+    """Labels of one object in a view: a capture or mesh of the given scene, or an object inserted into it."""
 
     id: int
-    """Id in the layer ``instance``, from 1. Objects of the scene have the same id in all views; inserted objects
-    follow.
+    """Value of the object's pixels in the layer ``instance``, from 1.
+
+    Captures and meshes of the given scene have the same id in all views; inserted objects have the ids after them.
     """
     name: str
     category: str
-    """Category: the name of an object of the scene, ``capture`` or ``mesh`` without a name, or the file name of an
-    inserted object without its extension."""
+    """Name of the object's category: for a capture or mesh of the given scene its name, or ``capture`` or ``mesh`` if
+    it has none; for an inserted object the name of its file without extension."""
     category_id: int
-    """Id of the category in the layer ``category``, from 1; equal in all views."""
+    """Value of the object's pixels in the layer ``category``, from 1; the same for a category in all views."""
     kind: str
     """``capture``, ``mesh``, or ``scene`` for an inserted object that has several captures or meshes."""
     is_object: bool
-    """True for an object that was inserted into the scene, False for a capture or mesh of the scene."""
+    """True for an object that was inserted into the scene; False for a capture or mesh of the given scene."""
     instances: tuple[int, ...]
-    """Values that the frame's ``instance_index`` has in the object's pixels."""
+    """Indices of the object's captures and meshes in ``Frame.instance_index``."""
     world_from_object: Doubles
     """Object-to-world transform, shape (4, 4)."""
     low: Doubles
-    """Lower corner of the bounding box in object coordinates, shape (3,); stray Gaussians of captures are ignored."""
+    """Lower corner of the bounding box in object coordinates, shape (3,), without a capture's stray Gaussians."""
     high: Doubles
-    """Upper corner of the bounding box in object coordinates, shape (3,)."""
+    """Upper corner of the bounding box in object coordinates, shape (3,), without a capture's stray Gaussians."""
 
 
 class Catalogue:
@@ -68,7 +67,7 @@ class Catalogue:
         """Names of the categories, in the order of their ids from 1."""
 
     def things(self, objects: Sequence[PlacedObject]) -> list[DatasetThing]:
-        """Returns the labels of all objects in a view, in the order of their ids; ``objects`` are the inserted ones."""
+        """Returns the labels of all objects in a view, by id; ``objects`` are those inserted into this view."""
         things = self._scene_objects(sum(len(one.splats) for one in objects))
         next_splat = len(self._scene.splats)
         next_mesh = next_splat + sum(len(one.splats) for one in objects) + len(self._scene.meshes)
@@ -96,11 +95,11 @@ class Catalogue:
         return things
 
     def _scene_objects(self, between: int) -> list[DatasetThing]:
-        """Returns the labels of the captures and meshes of the scene.
+        """Returns the labels of the captures and meshes of the given scene.
 
         Args:
-            between: Number of captures of inserted objects; ``instance_index`` numbers them before the meshes of the
-                scene.
+            between: Number of captures among the inserted objects. ``instance_index`` counts the scene's captures, then
+                these, then the scene's meshes.
         """
         instances = (*self._scene.splats, *self._scene.meshes)
         labelled = zip(instances, self._names, self._categories, self._boxes, strict=True)
@@ -165,7 +164,7 @@ class DatasetView:
     things: tuple[DatasetThing, ...]
     """Labels of all objects, visible or not, in the order of their ids."""
     left_out: tuple[str, ...] = ()
-    """Names of objects for which no free position was found."""
+    """Names of objects that could not be inserted into this view, because no free position was found."""
 
     @property
     def name(self) -> str:

@@ -16,12 +16,14 @@ from lumisplat.math.transforms import axis_rotation, multiply_quaternions, quate
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightPoint
 
 _LIGHT_TRIES = 32
-"""Number of random positions tried for a point light in the free space of a scene; the last is used if none is free."""
+"""Number of random positions tried for a point light in the free space of a scene. If none is free, the last is used.
+"""
 _LIGHT_NEAREST = 0.25
-"""Smallest distance from the scene's middle that is used to compute a point light's intensity, as a fraction of the
-diagonal of the scene's box."""
+"""Smallest distance between a point light and the scene's middle that is used to compute the light's intensity.
+
+It is a fraction of the diagonal of the scene's box; a nearer light would get almost no intensity."""
 _LIGHT_CLEARANCE = 0.01
-"""Radius of the free space around a point light, as a fraction of the diagonal of the scene's box."""
+"""Distance that a point light keeps from all surfaces, as a fraction of the diagonal of the scene's box."""
 
 
 class LightSampler:
@@ -31,7 +33,7 @@ class LightSampler:
         config: Ranges of the lights.
         space: Extent and free space of the scene.
         environments: Environments loaded from files.
-        where: Region in which cameras are placed; point lights are placed accordingly.
+        where: How cameras are placed. With `PosePlaces.DOME`, point lights are around the scene, else inside it.
         needs_light: True if the scene has surfaces that are black without light.
     """
 
@@ -56,7 +58,7 @@ class LightSampler:
         return bool(self._scene_lights or self._environments or self._suns[1] or self._config.points[1])
 
     def lights(self, draws: Draws) -> tuple[Light, ...]:
-        """Returns the lights of a view."""
+        """Returns the random lights of a view: the scene's own, an environment, suns, point lights, ambient light."""
         config = self._config
         angle, brightness = 2.0 * math.pi * draws.unit() * config.turned, draws.factor(config.brightness)
         selector, ambient = draws.unit(), draws.between(config.ambient)
@@ -74,15 +76,21 @@ class LightSampler:
         return (*lights, *suns, *points)
 
     def exposure(self, draws: Draws) -> float:
-        """Returns the random exposure offset of a view, stops."""
+        """Returns a random exposure for the camera of a view, stops."""
         return draws.between(self._config.exposure)
 
     def _is_replaced(self, light: Light) -> bool:
-        """Returns whether an environment from a file replaces ``light``, which is one of the scene."""
+        """Returns whether to leave out a light of the scene: an environment, if environments were given as files."""
         return isinstance(light, LightEnvironment) and bool(self._environments)
 
     def _rotated(self, light: Light, angle: float, brightness: float) -> Light:
-        """Returns an environment rotated about the vertical and scaled in brightness; other lights stay unchanged."""
+        """Rotates an environment about the up axis and multiplies its intensity; returns other lights unchanged.
+
+        Args:
+            light: A light.
+            angle: Angle of the rotation, radians.
+            brightness: Factor of the intensity.
+        """
         if not isinstance(light, LightEnvironment):
             return light
         rotation = quaternions_from_matrices(axis_rotation(self._space.up, angle)[None])[0]

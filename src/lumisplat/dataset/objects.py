@@ -21,11 +21,11 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 _Instance = TypeVar("_Instance", SplatInstance, MeshInstance)
 
 _POSITIONS = 32
-"""Number of random positions tried for an object in one batch."""
+"""Number of random positions that are tested for an object together; see `_BATCHES`."""
 _BATCHES = 4
-"""Largest number of batches of positions tried for an object."""
+"""Number of times that `_POSITIONS` random positions are tested for an object before it is left out."""
 _FOOTPRINT = np.array([(0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)])
-"""Points below an object at which the height of the ground is measured, in units of the object's bounding radius."""
+"""Horizontal offsets of the points at which the ground below an object is measured, in bounding radii."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +37,11 @@ class Asset:
     scene: Scene
     """Scene that contains only the object."""
     points: Doubles
-    """Points on the object's surface, without stray Gaussians, shape (N, 3)."""
+    """Mesh vertices and Gaussian means of the object, without stray Gaussians, shape (N, 3)."""
     middle: Doubles
     """Centre of the object's bounding box, shape (3,)."""
     radius: float
-    """Radius of the object's bounding sphere around ``middle``."""
+    """Radius of the sphere around ``middle`` that contains ``points``."""
 
     @classmethod
     def of(cls, name: str, loaded: Gaussians | Mesh | Scene) -> Asset:
@@ -73,7 +73,7 @@ class PlacedObject:
 
     asset: Asset
     world_from_object: Doubles
-    """Similarity transform, shape (4, 4)."""
+    """Similarity transform from the coordinates of the object's file to the world, shape (4, 4)."""
     center: Doubles
     """Centre of the object's bounding sphere, world space, shape (3,)."""
     radius: float
@@ -94,7 +94,7 @@ class PlacedObject:
 
 @dataclass(frozen=True)
 class Placement:
-    """Objects inserted into the scene of one view."""
+    """Objects that were inserted into the scene of one view, and the names of those for which there was no room."""
 
     placed: tuple[PlacedObject, ...] = ()
     left_out: tuple[str, ...] = ()
@@ -114,7 +114,7 @@ class ObjectPlacer:
         self._config, self._assets, self._space = config, assets, space
 
     def place(self, draws: Draws) -> Placement:
-        """Places the objects of a view one after the other, in the random order in which they were chosen."""
+        """Chooses the objects of a view at random, and places one after the other in the scene."""
         if not self._assets:
             return Placement()
         placed: list[PlacedObject] = []
@@ -143,10 +143,11 @@ class ObjectPlacer:
         return None
 
     def _free_center(self, units: Doubles, radius: float, foot: float, others: list[PlacedObject]) -> Doubles | None:
-        """Returns the first candidate centre of an object with level ground and free space; None if none has both.
+        """Returns the first of N candidate centres with level ground and free space for an object; None if none has.
 
         Args:
-            units: N candidate positions in the scene's box, as fractions 0..1 of the box, shape (N, 3).
+            units: Candidate positions in the scene's box, as fractions 0..1 of the box, shape (N, 3). Their heights are
+                replaced, so that the object stands on the ground.
             radius: Radius of the object's bounding sphere.
             foot: Height of the object's lowest point relative to the centre, below 0.
             others: Objects that are already placed.

@@ -19,11 +19,11 @@ from lumisplat.scene.ops.views import frame_camera
 from lumisplat.scene.placing import front_vector
 
 _TRIES = 200
-"""Number of random poses tried for a view."""
+"""Largest number of random poses tried for a view before it is an error."""
 _NEAR = 1e-3
 """Distance of the near plane, as a fraction of the diagonal of the scene's box."""
 _UPRIGHT = 1e-3
-"""Sine of the angle between view direction and vertical below which any direction may be up in the image."""
+"""Sine of the angle between view direction and vertical below which the roll of the camera is arbitrary."""
 
 
 class PoseSampler:
@@ -107,7 +107,7 @@ class PoseSampler:
     def _on_dome(
         self, draws: Draws, fov: float, target_object: PlacedObject | None
     ) -> tuple[Doubles, Doubles, Doubles]:
-        """Returns the eye, right and forward vectors of a random camera that looks inwards from around its target.
+        """Returns the eye, right and forward vectors of a random camera around its target, looking at the target.
 
         Args:
             draws: Random numbers of the view.
@@ -174,7 +174,7 @@ class PoseSampler:
 
 
 def _upright(eye: Doubles, forward: Doubles, up: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """Returns the eye, right and forward vectors of a camera that looks along ``forward`` with its image upright."""
+    """Returns the eye, right and forward vectors of a camera that looks along ``forward`` without roll."""
     right = np.cross(forward, up)
     if np.linalg.norm(right) < _UPRIGHT:
         right = level_axes(up)[0]

@@ -15,8 +15,7 @@ from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _INSIDE = 0.5
-"""Winding number above which a point counts as inside a mesh; meshes with small holes have fractional winding numbers.
-"""
+"""Winding number above which a point is inside a mesh; holes in the mesh make it fractional."""
 
 
 def winding_number(triangles: Doubles, point: Doubles) -> float:
@@ -37,7 +36,7 @@ def winding_number(triangles: Doubles, point: Doubles) -> float:
 
 
 class Solids:
-    """Meshes that must not contain a camera.
+    """Meshes of a scene that a camera must not be inside of.
 
     A mesh whose box covers at least half of the scene's box is ignored, because it is a building or a sky dome.
 
@@ -58,7 +57,7 @@ class Solids:
                 self._boxes.append((lowest, highest, points[instance.mesh.indices[:, ::flip]]))
 
     def contain(self, point: Doubles) -> bool:
-        """Returns whether a point is inside one of the meshes."""
+        """Returns whether a point is inside a mesh, by the winding number of the mesh around it."""
         return any(
             bool((low < point).all() and (point < high).all()) and winding_number(triangles, point) > _INSIDE
             for low, high, triangles in self._boxes
@@ -129,11 +128,14 @@ class Space:
         return bool(self.depths(eye[None], away[None] / distance)[0] >= distance - radius)
 
     def hemispheres_free(self, centers: Doubles, radii: Doubles) -> Flags:
-        """Returns, for each of N spheres, whether its upper half contains no surface, shape (N,).
+        """Returns, for each of N spheres, whether rays upwards from its centre meet no surface within its radius.
 
         Args:
             centers: Centres of the spheres, shape (N, 3).
             radii: Radii of the spheres, shape (N,).
+
+        Returns:
+            True if the upper half is free, shape (N,).
         """
         upper = self._sphere_directions[self._sphere_directions @ self.up >= 0.0]
         origins = np.repeat(centers, len(upper), axis=0)

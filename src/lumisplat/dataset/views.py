@@ -73,7 +73,7 @@ class DatasetViews:
         self.config = DatasetConfig() if config is None else config
         check_kind("config", self.config, DatasetConfig)
         self.base = scene
-        """Scene without inserted objects."""
+        """The given scene, into which objects are inserted and lights added for each view."""
         assets = _loaded_assets(self.config.objects.files, load)
         environments = self._environments(scene)
         self._space = space = Space(scene, device)
@@ -99,7 +99,7 @@ class DatasetViews:
 
     @property
     def are_lit(self) -> bool:
-        """True if some view can have a light."""
+        """True if a view may have lights: those of the scene, environments, suns or point lights."""
         return self._light_sampler.has_lights
 
     def view(self, index: int) -> DatasetView:
@@ -196,7 +196,7 @@ def _loaded_assets(files: Sequence[str], loader: Loader | None) -> list[Asset]:
 
 
 def _as_shadow_catcher(splats: SplatInstance) -> SplatInstance:
-    """Returns a capture without a material as a shadow catcher; returns a capture with a material unchanged."""
+    """Makes a capture without a material a shadow catcher; returns a capture with a material unchanged."""
     return splats if splats.material is not None else replace(splats, shadow_catcher=True)
 
 

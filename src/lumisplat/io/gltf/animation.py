@@ -65,7 +65,7 @@ _KINDS = {Channel.TRANSLATION: "VEC3", Channel.ROTATION: "VEC4", Channel.SCALE: 
 
 
 def _read_clips(file: GltfFile) -> tuple[Clip, ...]:
-    """Reads all animations of a file as clips with unique names; an unnamed animation is named by its index.
+    """Reads all animations of a file as clips with unique names; an animation without a name gets its index as name.
 
     Channels without a target node are skipped. Channels that animate extension properties are skipped and counted in a
     log line.
@@ -183,7 +183,7 @@ def _unit(file: GltfFile, quaternions: Matrix, where: str) -> Matrix:
 
 
 class _RigPrimitive(NamedTuple):
-    """A primitive of a node: ``raw`` as stored in the file, ``part`` as a part of the rig."""
+    """A triangle primitive of a node, as arrays of the file (``raw``) and as a `RigPart` (``part``)."""
 
     raw: RawPrimitive
     part: RigPart
@@ -280,7 +280,14 @@ def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int
 
 
 def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart:
-    """Returns a primitive as a part of the rig. Without skin weights, all vertices follow the first joint."""
+    """Returns a primitive as a `RigPart`. Vertices without skin weights follow the skin's first joint.
+
+    Args:
+        raw: Arrays of the primitive.
+        skin: Skin of its node; for a node without a skin, the node itself as the only joint.
+        node: Index of the node, whose morph weights apply.
+        weights: Default weights of its morph targets.
+    """
     count = len(raw.positions)
     influences = raw.influences or Influences(np.zeros((count, 1), np.int32), np.ones((count, 1), np.float32))
     return RigPart(
@@ -335,7 +342,7 @@ def _surface(file: GltfFile, pieces: list[_RigPrimitive], skeleton: Skeleton, ve
 _FPS = 25.0
 """Frame rate of animations read from glTF, frames per second. glTF stores times in seconds and no frame rate."""
 _SAMPLES_PER_FRAME = 4
-"""Samples per frame of moving captures and cameras, which become keyframes. Meshes are posed exactly at each frame."""
+"""Keyframes per frame that a moving capture or camera gets. Meshes need none: they are posed at each frame's time."""
 _STEP_OFFSETS = (-2e-6, -1e-6, 1e-6)
 """Times of the extra samples around a key with STEP interpolation, in seconds from the key.
 
@@ -414,7 +421,7 @@ class _AnimationReader:
         return Animation(scene, actors, cameras, fps=_FPS, frame_count=frames, camera_path=self._camera_path())
 
     def _is_deformed(self, index: int) -> bool:
-        """Returns whether the clip deforms a node's mesh by a skin or morph targets, even if the node is static."""
+        """Returns whether the animation changes the shape of a node's mesh, by joints of its skin or morph weights."""
         node = self._file.model.nodes[index]
         if node.mesh is None:
             return False
@@ -440,7 +447,7 @@ class _AnimationReader:
         return times[(times >= 0.0) & (times <= max(even[-1], self._clip.duration))]
 
     def _captures(self, nodes: list[int]) -> Iterator[Actor]:
-        """Yields the moving captures as actors."""
+        """Yields an actor for each capture in ``nodes``, which are nodes that the animation moves."""
         captures = GltfCaptures(self._file, self._drop_invalid)
         moving = [index for index in nodes if captures.is_in(index)]
         times = self._times() if moving else np.zeros(0)

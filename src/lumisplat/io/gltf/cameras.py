@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import pygltflib
 
 _FAR = 1000.0
-"""Value of zfar, as a multiple of znear, for an orthographic camera in an empty scene; glTF requires a zfar."""
+"""Far plane of an orthographic camera in a scene without objects, as a multiple of its near plane; glTF needs one."""
 _CENTRE_TOLERANCE = 1e-6
 """Distance in pixels up to which a principal point counts as being in the image centre."""
 
@@ -147,7 +147,14 @@ def _can_hold_camera(camera: Camera) -> bool:
 
 
 def add_camera(document: GltfDocument, camera: Camera, scene: Scene, file_from_world: Matrix) -> int | None:
-    """Appends a camera and its node, and returns the node's index; None if glTF cannot store the camera."""
+    """Appends a camera and its node, and returns the node's index; None if glTF cannot store the camera.
+
+    Args:
+        document: The file being built.
+        camera: The camera.
+        scene: Scene that the far plane of an orthographic camera must enclose.
+        file_from_world: Transform from the scene to the axes of the file, shape (4, 4).
+    """
     if not _can_hold_camera(camera):
         return None
     half_width, half_height = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
@@ -164,7 +171,7 @@ def add_camera(document: GltfDocument, camera: Camera, scene: Scene, file_from_w
 
 
 def camera_losses(cameras: Sequence[Camera]) -> list[str]:
-    """Returns a phrase for each camera feature that glTF cannot store."""
+    """Returns a phrase for each camera feature that glTF cannot store and at least one of ``cameras`` has."""
     lenses = sum(not _can_hold_camera(camera) for camera in cameras)
     shifted = sum(
         abs(camera.cx - 0.5 * camera.width) > _CENTRE_TOLERANCE

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     _RowSource = pygltflib.Accessor | pygltflib.AccessorSparseIndices | pygltflib.AccessorSparseValues
 
 _Stored = npt.NDArray[Any]
-"""Numbers in the component type of the file."""
+"""Numbers of an accessor in its component type, such as uint16, before conversion to float32 or int64."""
 
 _GLB_HEADER_BYTES = 12
 _CHUNK_HEADER_BYTES = 8
@@ -44,7 +44,7 @@ _GLB_MAX = 2**32 - 1
 
 
 class GltfFile:
-    """A parsed glTF file whose methods check each index before they return the item."""
+    """A parsed glTF file. Its methods check each index and size from the file before they use it."""
 
     def __init__(self, path: Path) -> None:
         import pygltflib
@@ -124,7 +124,7 @@ class GltfFile:
         return values.astype(np.int64)
 
     def _count(self, decoded_bytes: int) -> None:
-        """Adds to the total of decoded bytes and refuses too many, because many primitives may copy one accessor.
+        """Adds to the total of decoded bytes, which is limited because many primitives may decode one accessor.
 
         Raises:
             FormatError: The total is far more than a file of this size can hold.
@@ -214,7 +214,15 @@ class GltfFile:
         return values
 
     def _rows(self, source: _RowSource, count: int, width: int, dtype: np.dtype[Any], name: str) -> _Stored:
-        """Returns ``count`` rows of ``width`` numbers as a view of the buffer, spaced by the buffer view's stride."""
+        """Returns ``count`` rows of ``width`` numbers of a buffer view, without copying; rows are one stride apart.
+
+        Args:
+            source: Accessor, or part of a sparse accessor, that names the buffer view.
+            count: Number of rows.
+            width: Numbers per row.
+            dtype: Component type.
+            name: Name of the accessor in messages.
+        """
         data, stored_stride = self.view_bytes(source.bufferView, name)
         row_bytes = width * dtype.itemsize
         offset, stride = source.byteOffset or 0, stored_stride or row_bytes

@@ -38,9 +38,9 @@ _log = logging.getLogger("lumisplat")
 _EXTENSION = "KHR_gaussian_splatting"
 
 _CAPTURE_SIGNS = (1, -1, -1)
-"""Signs by which x, y and z are multiplied between glTF files and captures, in both directions: a half turn about x."""
+"""Factors of x, y and z that rotate captures by a half turn about x, from glTF's axes (y up) or back to them."""
 CAPTURE_FROM_FILE = np.diag([1.0, -1.0, -1.0, 1.0])
-"""`_CAPTURE_SIGNS` as a transform, shape (4, 4)."""
+"""Transform from glTF's axes (y up) to those of captures (y down), a half turn about x, which is its own inverse."""
 
 _MATERIALS = {
     "normals": ("_NORMAL", "VEC3"),
@@ -48,8 +48,9 @@ _MATERIALS = {
     "roughness": ("_ROUGHNESS", "SCALAR"),
     "metallic": ("_METALLIC", "SCALAR"),
 }
-"""Attribute name and type of normals and of each material field in files of Lumisplat. Other programs may use the same
-names differently.
+"""Custom glTF attribute and accessor type of normals and each material field, as Lumisplat writes them.
+
+Attributes with these names in files of other programs are ignored.
 """
 
 _DISPLAY = ("srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb", "BT.709")
@@ -57,19 +58,18 @@ _LINEAR = ("lin_rec709_display", "BT.709-linear")
 """Names that files give the linear colour space; all but the first are from drafts of the extension."""
 
 _Numbers = dict[tuple[int, bool], str]
-"""Allowed number formats of an attribute: component type and whether it is normalized, with the format's name in
-messages."""
+"""Number formats that an attribute may have: glTF component type and ``normalized``, each with a name for messages."""
 
 _SAME_TRANSFORM = 1e-6
 """Largest difference of the elements of two node transforms that count as equal, as quaternions in files are rounded.
 """
 
 _DEGENERATE = 1e-9
-"""Determinant of a node's normalized axes below which the node counts as flattening its Gaussians."""
+"""Determinant of a node's three axes, each scaled to unit length, up to which the node flattens its Gaussians."""
 
 
 class _Layout(NamedTuple):
-    """Number format and type of one attribute of the extension KHR_gaussian_splatting."""
+    """Name, accessor type and number formats of one attribute of the extension KHR_gaussian_splatting."""
 
     name: str
     kind: str
@@ -171,7 +171,7 @@ def _check_extension(primitive: GltfPrimitive) -> bool:
 
 
 def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
-    """Returns the scales of N Gaussians as stored, shape (N, 3), and whether the stored values are logarithms."""
+    """Returns the stored scales of N Gaussians, shape (N, 3), and whether they are logarithms: any is negative."""
     scales = _attribute(primitive, _SCALE, count)
     negative = int(np.count_nonzero(scales < 0.0))
     if negative:
@@ -234,7 +234,13 @@ def _check_count(primitive: GltfPrimitive, name: str, values: FloatArray, count:
 
 
 def _materials(primitive: GltfPrimitive, count: int, extras: dict[str, Any] | None) -> dict[str, FloatArray]:
-    """Reads normals and materials of N Gaussians, shape (N, 3) or (N,) each; empty for files of other programs."""
+    """Reads normals and materials of N Gaussians from files that Lumisplat wrote, shape (N, 3) or (N,) each.
+
+    Args:
+        primitive: The primitive.
+        count: Number of Gaussians, N.
+        extras: Lumisplat's settings of the primitive; None for files of other programs, whose attributes are ignored.
+    """
     found: dict[str, FloatArray] = {}
     for column, (name, kind) in _MATERIALS.items():
         values = None if extras is None else primitive.floats(name, kind)
@@ -244,7 +250,7 @@ def _materials(primitive: GltfPrimitive, count: int, extras: dict[str, Any] | No
 
 
 def _settings(path: PathLike, extras: dict[str, Any] | None) -> dict[str, Any]:
-    """Returns the capture settings that the extension cannot store, from Lumisplat's extras."""
+    """Returns antialiasing, kernel degree, comments and orientation from Lumisplat's extras, or their defaults."""
     extras = extras or {}
     return {
         "antialiased": extras.get("antialiased") is True,
@@ -263,7 +269,8 @@ class GltfCaptures:
     _read: dict[int, list[Gaussians]] = field(default_factory=dict[int, list[Gaussians]])
     """Captures read so far, by mesh index."""
     _stretched: dict[tuple[int, bytes], Gaussians] = field(default_factory=dict[tuple[int, bytes], Gaussians])
-    """Captures stretched so far, by the id of the original capture and the bytes of the stretch matrix."""
+    """Captures stretched by nodes with a non-uniform scale, by the ``id`` of the original and the bytes of the matrix.
+    """
     _stretched_bytes: int = 0
 
     def instances(self, nodes: Iterable[int], world_from_node: list[Matrix]) -> Iterator[SplatInstance]:
@@ -292,7 +299,7 @@ class GltfCaptures:
                     raise FormatError(self.file.path, f"{node_label(self.file, index)}: {error}") from None
 
     def is_in(self, index: int) -> bool:
-        """Returns whether the mesh of a node has captures."""
+        """Returns whether the mesh of the node ``index`` has primitives with Gaussians."""
         mesh = self.file.model.nodes[index].mesh
         return mesh is not None and bool(self._captures(mesh))
 
@@ -344,9 +351,9 @@ class GltfCaptures:
 
 
 def single_capture(instance: SplatInstance) -> Gaussians:
-    """Returns an instance's Gaussians in the axes of captures, with the instance's transform applied.
+    """Returns an instance's Gaussians with its transform applied, in the axes of captures (y down).
 
-    If the Gaussians state an up direction, and the transform only rotates that direction to y, they are returned
+    If the transform is only the rotation of the capture's stated up direction to y, the Gaussians are returned
     unchanged.
 
     Raises:
@@ -416,14 +423,14 @@ def add_gaussians(document: GltfDocument, gaussians: Gaussians, name: str) -> in
 
 
 def _fallback_colors(gaussians: Gaussians) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Returns the mean linear colours and the opacities of N Gaussians as 8-bit values, shape (N, 4)."""
+    """Returns COLOR_0 for programs that ignore the extension: linear SH degree 0 colour and opacity, uint8, (N, 4)."""
     display = np.clip(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0, 1.0)
     values = np.column_stack([decode_srgb(display), gaussians.opacities])
     return (values * 255.0 + 0.5).astype(np.uint8)
 
 
 def _settings_of(gaussians: Gaussians) -> dict[str, Any]:
-    """Returns the capture settings to store in extras, because the extension cannot hold them."""
+    """Returns the antialiasing, kernel degree, orientation and comments of a capture for extras; not defaults."""
     settings: dict[str, Any] = {"antialiased": True} if gaussians.antialiased else {}
     if gaussians.kernel_degree != KERNEL_DEGREE:
         settings["kernel_degree"] = gaussians.kernel_degree

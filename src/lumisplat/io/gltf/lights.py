@@ -24,10 +24,10 @@ _log = logging.getLogger("lumisplat")
 EXTENSION = "KHR_lights_punctual"
 
 _CONE_EDGE = 1e-3
-"""Angle in radians between the inner and the outer cone that a spot gets if its two angles are equal."""
+"""Angle in radians by which the inner cone is made narrower than the outer one if a spot states equal angles."""
 
 _PUNCTUAL = {kind: light for kind, light in LIGHT_KINDS.items() if light.unit in ("cd", "lux")}
-"""Classes of the lights without an area, by the type name that both KHR_lights_punctual and Lumisplat use."""
+"""Light classes that glTF can store, by their type name: those with an intensity in candela or lux."""
 
 
 def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matrix]) -> list[Light]:
@@ -59,10 +59,10 @@ def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matr
 
 
 def _within_limits(file: GltfFile, definition: dict[str, Any], label: str) -> dict[str, Any]:
-    """Returns a light definition in which border values that other programs write are moved into the valid range.
+    """Returns a light definition with two invalid values of other programs repaired; each repair is logged.
 
-    A range of 0, as three.js writes it, means no range. Equal cone angles get a narrow edge between them. Each change
-    is logged.
+    A range of 0, as three.js writes it, is removed and so means no limit. Inner and outer cone angles that are equal
+    get a difference of `_CONE_EDGE`.
     """
     changes: list[str] = []
     definition = dict(definition)

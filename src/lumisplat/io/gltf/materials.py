@@ -50,7 +50,7 @@ _READ = {
     *(f"KHR_materials_{name}" for name in ("unlit", "emissive_strength", "ior", "specular", "transmission", "volume")),
     *(f"KHR_materials_{name}" for name in ("clearcoat", "sheen", "pbrSpecularGlossiness")),
 }
-"""Extensions that are read, or whose loss another log line reports."""
+"""Extensions that are not reported as unread: Lumisplat reads them, or another log line reports their loss."""
 _WITHOUT_EFFECT = (
     "KHR_xmp",
     "KHR_materials_variants",  # the default variant is used
@@ -127,9 +127,9 @@ def warn_unread(file: GltfFile) -> None:
 
 
 def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]:
-    """Returns the absorption of a transmissive surface's interior (KHR_materials_volume).
+    """Returns absorption fields for the interior of a transmissive surface (KHR_materials_volume).
 
-    A surface without a thickness is thin-walled instead, that is, it has no interior.
+    Without a thickness there is no interior: the surface is ``thin_walled``.
     """
     volume = _extension(material, "volume")
     if not volume.get("thicknessFactor", 0.0) > 0.0:
@@ -196,7 +196,10 @@ def _metal_of(diffuse: Doubles, specular: Doubles) -> tuple[Doubles, float]:
 
 
 def _roughness_texels(texels: npt.NDArray[np.uint8], glossiness: dict[str, Any]) -> npt.NDArray[np.uint8]:
-    """Returns a texture with roughness in green, from a specularGlossinessTexture, which has glossiness in alpha."""
+    """Converts a specularGlossinessTexture, with glossiness in alpha, to a texture with roughness in green.
+
+    Roughness is 1 minus ``glossinessFactor`` times the glossiness.
+    """
     alpha = texels[..., 3] if texels.shape[2] == 4 else np.full(texels.shape[:2], 255, np.uint8)
     roughness = 255.0 - float(glossiness.get("glossinessFactor", 1.0)) * alpha
     return np.stack([np.zeros_like(alpha), np.clip(roughness + 0.5, 0, 255).astype(np.uint8), 0 * alpha], axis=2)
@@ -275,7 +278,13 @@ class GltfMaterials:
     def _textures_and_alpha(
         self, material: pygltflib.Material, factors: tuple[float, ...], label: str
     ) -> dict[str, Any]:
-        """Returns the fields that all material classes have: textures, wrap modes and alpha."""
+        """Returns the fields that all material classes have: textures, wrap modes and alpha.
+
+        Args:
+            material: The material.
+            factors: Base colour factors; the fourth, if present, is alpha.
+            label: Name of the material in messages.
+        """
         textures = _textures(material)
         read = {name: self._texels.get(index, label) for name, index in textures.indices.items()}
         values: dict[str, Any] = {name: texels for name, texels in read.items() if texels is not None}
@@ -312,7 +321,10 @@ def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
 
 
 def _wrap_values(wraps: dict[str, WrapPair]) -> dict[str, Any]:
-    """Returns the wrap modes of the first texture as default, and by name those of textures that differ from it."""
+    """Returns wrap fields of a material: ``wrap_u`` and ``wrap_v`` of the first texture, and ``texture_wraps``.
+
+    ``texture_wraps`` has the modes of textures that differ from the first.
+    """
     if not wraps:
         return {}
     first = next(iter(wraps.values()))
@@ -341,7 +353,7 @@ class MaterialWriter:
         self.approximated: list[str] = []
         """Names of the `MaterialSimple` materials that glTF can only approximate."""
         self.ranked = 0
-        """Number of materials with a ``priority``, which glTF cannot store."""
+        """Number of materials whose ``priority`` in nested media is lost, because glTF cannot store it."""
 
     def index(self, material: Material, *, textured: bool) -> int:
         """Returns the index of a material in the file, and writes the material on first use.
@@ -408,7 +420,10 @@ class MaterialWriter:
         return _without_none(item) | _common_fields(material) | ({"extensions": extensions} if extensions else {})
 
     def _transmission(self, material: MaterialPbr, texture: _Item | None) -> _Item:
-        """Returns the transmission extension, with a volume for a solid material: any thickness above 0 means solid."""
+        """Returns KHR_materials_transmission, and for a solid also KHR_materials_volume with thickness 1.
+
+        glTF has no flag for solids: any thickness above 0 means one.
+        """
         factors = _without_none({"transmissionFactor": material.transmission, "transmissionTexture": texture})
         extensions = self._document.use("KHR_materials_transmission", **factors)
         if material.is_solid:

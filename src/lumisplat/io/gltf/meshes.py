@@ -38,7 +38,7 @@ TRIANGLE_MODES = (None, _TRIANGLES, _STRIP, _FAN)
 """Modes of primitives that are read as meshes: lists, strips and fans of triangles."""
 
 _SHORT_MAX = 65534
-"""Largest vertex index stored in 16 bits; 65535 would restart the primitive."""
+"""Largest vertex index that is written as uint16: 65535 is glTF's primitive restart value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +48,10 @@ class RawPrimitive:
     positions: FloatArray
     """Vertex positions, shape (V, 3)."""
     normals: FloatArray | None
-    """Normals of any length, shape (V, 3)."""
+    """Normals of any length, shape (V, 3); None if the primitive has none."""
     uvs: FloatArray | None
     colors: FloatArray | None
-    """Linear vertex colours, clipped to 0..1, shape (V, 3)."""
+    """Linear vertex colours, clipped to 0..1, shape (V, 3); None if the primitive has none."""
     triangles: npt.NDArray[np.int64]
     """Vertex indices of the triangles, shape (F, 3); they may be out of range."""
     material: Material
@@ -196,7 +196,7 @@ def _triangles(primitive: GltfPrimitive, vertex_count: int) -> npt.NDArray[np.in
 
 
 def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, targets: set[int] | None) -> dict[int, FloatArray]:
-    """Returns the morph offsets of an attribute by target number; targets that do not move it are absent.
+    """Returns the offsets of the attribute ``name`` by morph target number; targets without offsets for it are absent.
 
     Args:
         primitive: The primitive.

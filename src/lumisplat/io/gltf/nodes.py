@@ -196,7 +196,7 @@ def _local_transform(file: GltfFile, index: int) -> Matrix:
 
 
 def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
-    """Returns a property of a node as an array, shape (count,); its glTF default if the node does not state it."""
+    """Returns the ``translation``, ``rotation`` or ``scale`` of a node as ``count`` numbers, or its glTF default."""
     stored = getattr(file.model.nodes[index], name)
     if stored is None:
         return np.array(_REST[name])
@@ -236,7 +236,7 @@ def with_extras(item: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
 
 
 def light_extras(light: Light) -> dict[str, Any]:
-    """Returns the light fields to store in extras: its size, for soft shadows, and shadow settings."""
+    """Returns the light fields to store in extras because glTF lacks them: size and shadow settings; not defaults."""
     return _non_default_fields(light, LIGHT_EXTRAS)
 
 

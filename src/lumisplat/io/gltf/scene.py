@@ -57,7 +57,7 @@ _READABLE = (
 """
 
 _ORTHOGONAL = 1e-6
-"""Largest cosine between two axes of a node's transform, because a glTF node cannot store a shear."""
+"""Absolute cosine of the angle between two axes of a transform up to which it has no shear, which glTF cannot store."""
 
 
 def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussians:
@@ -146,7 +146,7 @@ def _has_settings(file: GltfFile, nodes: Iterable[int]) -> bool:
 
 
 def _primitives(file: GltfFile, mesh: int) -> list[Any]:
-    """Returns those primitives of a mesh that Lumisplat reads: Gaussians and triangles."""
+    """Returns the primitives of a mesh that Lumisplat reads: Gaussians and triangles, not points or lines."""
     primitives: list[Any] = file.item("meshes", mesh, "a node").primitives
     return [one for one in primitives if holds_gaussians(one) or one.mode in TRIANGLE_MODES]
 

@@ -67,7 +67,7 @@ class UvTransform(NamedTuple):
 
 
 class Textures(NamedTuple):
-    """Textures of one material, which share their texture coordinates."""
+    """Textures of one material, all with the texture coordinates of its first texture."""
 
     uv_transform: UvTransform
     """Texture coordinates of all textures in ``indices``."""
@@ -104,7 +104,7 @@ def material_textures(material: pygltflib.Material, *, only_color: bool = False)
 
 
 class _Info(NamedTuple):
-    """Reference from a material to a texture (glTF textureInfo)."""
+    """A glTF textureInfo of a material: texture index, number of the TEXCOORD attribute, and extensions."""
 
     index: Any
     uv_set: Any
@@ -165,7 +165,10 @@ def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
 
 
 def texture_extension(texture: pygltflib.Texture) -> str | None:
-    """Returns the extension that holds a texture's only image in an unsupported format; None if it can be read."""
+    """Returns the extension that an unreadable texture needs: its only image is in an unsupported format.
+
+    None if the texture has a readable image (PNG, JPEG or WebP).
+    """
     extensions: dict[str, Any] = texture.extensions or {}
     if texture.source is not None or "EXT_texture_webp" in extensions:
         return None

@@ -58,10 +58,13 @@ class TriangleSieve:
         return describe_problems(self.out_of_range, self.without_area)
 
     def report(self, any_usable: bool) -> None:
-        """Logs one line about the unusable triangles, if there are any.
+        """Logs how many triangles were unusable; nothing if none was.
+
+        Args:
+            any_usable: Whether the file has at least one usable triangle.
 
         Raises:
-            FormatError: No triangle is usable.
+            FormatError: ``any_usable`` is False.
         """
         if not any_usable:
             raise FormatError(self.path, f"has no usable triangles{self.problems and ': ' + self.problems}")
@@ -144,7 +147,9 @@ def material_for_uvs(path: PathLike, material: Material, uvs: FloatArray | None,
 
 
 def relative_to_origin(path: PathLike, positions: npt.NDArray[np.floating]) -> tuple[FloatArray, Vector]:
-    """Returns positions as float32 relative to an origin, and the origin. Logs an origin other than zero.
+    """Returns positions as float32 relative to an origin, and the origin, which is zero if float32 is fine enough.
+
+    An origin other than zero is logged.
 
     Args:
         path: The file, named in the log.

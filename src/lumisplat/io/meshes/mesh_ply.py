@@ -134,7 +134,7 @@ def _colors(vertices: PlyRows) -> FloatArray | None:
 
 
 def _linear(*channels: npt.NDArray[Any]) -> FloatArray:
-    """Converts three sRGB channels, integers or floats of 0..1, to N linear colours, shape (N, 3)."""
+    """Converts sRGB channels red, green and blue, integers or floats of 0..1, to linear colours, shape (N, 3)."""
     kind = channels[0].dtype
     encoded = np.stack([channel.astype(np.float64) for channel in channels], axis=1)
     encoded /= np.iinfo(kind).max if kind.kind in "iu" else 1.0
@@ -142,7 +142,7 @@ def _linear(*channels: npt.NDArray[Any]) -> FloatArray:
 
 
 def _polygons(lists: dict[str, PlyList]) -> PlyList | None:
-    """Returns the lists of vertex indices of all polygons; None if the file has no such lists."""
+    """Returns the vertex indices of each polygon: the list ``vertex_indices`` or ``vertex_index``; None if absent."""
     return next((lists[name] for name in _POLYGON_NAMES if name in lists), None)
 
 

@@ -35,7 +35,7 @@ _ABSENT = -1
 
 _Numbers = tuple[float, ...]
 _Corner = tuple[int, int, int]
-"""Indices of the position, uv and normal of a corner."""
+"""A corner of a face: indices of its position, uv and normal, counted from 0; `_ABSENT` for a missing uv or normal."""
 
 
 @dataclass(slots=True)

@@ -80,7 +80,7 @@ _KEY_OWNERS = {
     "vertex_colors": "a rig",
     "fps": "a folder of frames",
 }
-"""Keys that only some kinds of files accept, and what error messages call those kinds."""
+"""Keys of ``[[actors]]`` that apply only to some kinds of files, each with the words for these kinds in messages."""
 
 Load = Callable[..., Gaussians | Mesh | Scene]
 """Loads a file by its path; ``lod`` and ``budget`` are passed too if the entry gives them."""
@@ -173,15 +173,21 @@ class Subjects:
     load: Load
     _subjects: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])
     _captures: set[Path] = field(default_factory=set[Path])
-    """Files that hold captures. The up direction of such a file is that of its capture; all other files are y up."""
+    """Files that hold captures, whose up direction is that of the capture; files of all other actors are y up."""
 
     def has_y_up(self, table: TomlTable, given: Values) -> bool:
-        """Returns whether the file of an entry is y up: False for captures and for folders of captures, else True."""
+        """Returns whether the actor file of an entry is y up: False for captures and folders of captures, else True.
+
+        ``given`` are the entry's checked values.
+        """
         self.get(table, given)
         return table.file("path") not in self._captures
 
     def get(self, table: TomlTable, given: Values) -> Subject:
-        """Returns the loaded file of an entry."""
+        """Loads the file that an entry of ``[[actors]]`` names, in the form that the entry asks for.
+
+        A file is loaded once for each form. ``given`` are the entry's checked values.
+        """
         file = table.file("path")
         if given.get("form", "gaussians") not in _FORMS:
             raise table.wrong("form", " or ".join(_FORMS))

@@ -68,7 +68,7 @@ def _is_size(value: object) -> bool:
 
 
 _SIZE = Kind("a number, two (plane) or three (box)", _is_size)
-"""Kind of the key ``size``: the edge lengths of a box or a plane, or the diameter of a sphere."""
+"""Type of the key ``size``: edge lengths of a box (one or three) or a plane (one or two), or a sphere's diameter."""
 
 _ENTRY = {
     **PLACEMENT,
@@ -142,7 +142,7 @@ def _shape_mesh(table: TomlTable, given: Values) -> Mesh:
 
 @dataclass(frozen=True, slots=True)
 class PlacedEntry:
-    """Instances and lights that an entry adds to the scene."""
+    """Captures, meshes and lights that one entry of a scene file adds to the scene, in world space."""
 
     splats: tuple[SplatInstance, ...] = ()
     meshes: tuple[MeshInstance, ...] = ()
@@ -150,10 +150,9 @@ class PlacedEntry:
     world_from_file: Doubles = field(default_factory=lambda: np.eye(4))
     """Placement of the entry, a similarity transform, shape (4, 4)."""
     assets: tuple[Scene, ...] = ()
-    """Assets of the entry in three stages: the loaded file, the file with the entry's changes, and then with its
-    material.
+    """The asset of the entry as loaded from its file, then with crop box and other changes, then with its material.
 
-    `Assets` caches an asset only as long as an entry references it here."""
+    These references keep the asset in the cache of `Assets`, which holds weak references only."""
 
 
 @dataclass(slots=True)
@@ -170,7 +169,7 @@ class Assets:
     memory: Mapping[str, Scene] = field(default_factory=dict[str, Scene])
     """In-memory assets, by the placeholder that entries give as their ``path``."""
     _cache: WeakValueDictionary[_Key, Scene] = field(default_factory=WeakValueDictionary[_Key, Scene])
-    """Assets by key: the file and the changes of the entry."""
+    """Loaded and changed assets, weakly referenced; a key has the file, the entry's changes and its material."""
 
     def splats(self, table: TomlTable) -> PlacedEntry:
         """Reads an entry of ``[[splats]]`` and places its captures in the world."""
@@ -251,9 +250,9 @@ class Assets:
         return Scene(meshes=(scene.meshes[names.index(part) if isinstance(part, str) else part],))
 
     def _lift(self, given: Values, placed: Sequence[SplatInstance | MeshInstance]) -> Doubles:
-        """Returns the translation, shape (4, 4), that moves the lowest point of an entry to the height ``ground``.
+        """Returns a translation, shape (4, 4), along up that moves an entry's lowest point to the height ``ground``.
 
-        The translation is the identity if the entry has no ``ground``.
+        It is the identity if the entry states no height.
         """
         move = np.eye(4)
         if not isinstance(given.get("ground", False), bool) and placed:
@@ -262,7 +261,7 @@ class Assets:
         return move
 
     def _assets(self, table: TomlTable, heading: str, given: Values) -> tuple[Scene, ...]:
-        """Returns an entry's asset as loaded, then with the entry's changes, then with its ``material`` if any."""
+        """Returns the asset of an entry in stages: loaded, then with the entry's changes, then with any material."""
         if "path" in given:
             key, loaded = self._loaded(table, heading, given)
         else:
@@ -280,7 +279,11 @@ class Assets:
         return loaded, changed, self._cached(key, lambda: self._with_material(changed, table))
 
     def _loaded(self, table: TomlTable, heading: str, given: Values) -> tuple[_Key, Scene]:
-        """Loads the file of an entry. Returns its cache key and contents."""
+        """Loads the file of an entry. Returns its cache key and contents.
+
+        Raises:
+            FormatError: The file does not fit ``heading``: ``splats`` takes captures, ``meshes`` all others.
+        """
         if "size" in given or "shape" in given:
             key = "shape" if "shape" in given else "size"
             raise table.error(f"path and {key} are both given: an entry is a file or a shape", key)
@@ -363,7 +366,7 @@ def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
 
 
 def _is_capture(scene: Scene) -> bool:
-    """Returns whether a loaded file is a capture, not a mesh or a glTF scene.
+    """Returns whether a loaded file is a capture, not a mesh or a scene.
 
     A glTF scene with captures also contains Gaussians, but unlike a capture it states its up direction.
     """
@@ -387,7 +390,7 @@ def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
 
 
 def _read_entry(table: TomlTable, heading: str, up: Vector) -> tuple[Values, Doubles]:
-    """Checks the values of an entry. Returns the values and the entry's ``world_from_file``, shape (4, 4)."""
+    """Checks the keys and values of an entry. Returns the values, and the ``world_from_file`` that they state."""
     given = table.take(ENTRY_KEYS[heading], required=() if "shape" in table.values else ("path",))
     if not np.isfinite(given.get("ground", 0.0)):
         raise table.wrong("ground", "a height, a finite number")

@@ -185,7 +185,7 @@ def _entry_path(table: TomlTable, up: Vector) -> CameraPath:
 
 
 def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
-    """Creates a camera by `Camera.look_at` from checked values. The default of its ``up`` is the scene's up."""
+    """Creates a camera by `Camera.look_at` from checked values; if these have no ``up``, the scene's up is used."""
     values: dict[str, Any] = dict(given)
     models = {model.value: model for model in CameraModel}
     name = values.get("model", "pinhole")

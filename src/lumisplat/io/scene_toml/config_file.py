@@ -106,7 +106,7 @@ def changed_setting(base: _Config, name: str, text: str) -> _Config:
 
 
 def _hint(name: str, known: Sequence[str]) -> str:
-    """Returns the end of an error message about an unknown setting: similar settings, or the page that lists all."""
+    """Returns the end of an error about an unknown setting: its new name, similar ones, or the page that lists all."""
     group, _, key = name.rpartition(".")
     renamed = ".".join(filter(None, (group, RENAMED_SETTINGS.get(key))))
     if renamed in known:
@@ -119,7 +119,10 @@ def _hint(name: str, known: Sequence[str]) -> str:
 
 
 def _setting(table: TomlTable, setting: Setting, base: object) -> object:
-    """Converts the TOML value of a setting to its Python type. Ranges are checked later, by the settings class."""
+    """Converts the TOML value of a setting to its Python type. Ranges are checked later, by the settings class.
+
+    ``base`` is the setting's value before, from which a group of settings takes its missing keys.
+    """
     key, value = setting.name, table.values[setting.name]
     none = _word_for_none(setting) if setting.is_optional else ""
     if none and value == none:
@@ -166,7 +169,7 @@ def changed_settings(config: DataclassInstance) -> dict[str, Any]:
 
 
 def _table(config: object, base: object = None) -> dict[str, Any]:
-    """Converts settings to nested TOML tables: all settings, or only those that differ from ``base`` if given."""
+    """Converts settings to nested TOML tables; if ``base`` is given, only those whose value differs from it there."""
     table: dict[str, Any] = {}
     for one in settings_of(type(config)):
         value, before = getattr(config, one.name), getattr(base, one.name, None)

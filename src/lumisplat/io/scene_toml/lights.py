@@ -65,15 +65,12 @@ def read_light(table: TomlTable) -> Light:
 
 
 def _aim_keys(kind: type[Light]) -> dict[str, Kind]:
-    """Returns the keys that may aim a light instead of ``direction``, with their kinds.
-
-    ``size`` is a pair of numbers; all other keys are positions.
-    """
+    """Returns the keys of a light that may replace ``direction``, such as ``target``, each with its type of value."""
     return {key: PAIR if key == "size" else VECTOR for key in kind.aim_keys}
 
 
 def _required(kind: type[Light], table: TomlTable) -> list[str]:
-    """Returns the required keys of a light: fields without a default, except ``direction`` if another key aims it."""
+    """Returns the keys that a light must have: fields without a default, and ``direction`` unless a key aims it."""
     is_aimed = any(key in table.values for key in kind.aim_keys if key != "size")
     return required_keys(kind) + ([] if is_aimed else list(kind.aim_fields))
 
@@ -93,7 +90,7 @@ def read_environment(table: TomlTable) -> LightEnvironment:
 
 
 def _make(table: TomlTable, kind: type[_Light], values: Values) -> _Light:
-    """Creates a light; an invalid value becomes an error that names the file and line."""
+    """Creates a light from checked values; a value that the light's class refuses is reported with file and line."""
     try:
         return kind(**values)
     except SceneError as error:

@@ -23,7 +23,7 @@ from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
 """Material classes by their ``type`` in a scene file."""
 _SHARED = ("base_color", "base_color_texture", "name")
-"""Fields that both material types have. An entry of the other type takes them from the material of its file."""
+"""Fields of both material types, which a material table takes from the file's material even if the types differ."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

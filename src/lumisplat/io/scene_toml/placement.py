@@ -42,7 +42,7 @@ PLACEMENT = {
     "rotation_wxyz": QUATERNION.about("Rotation as a quaternion, scalar first. Default: none."),
     "scale": NUMBER.about("Uniform scale, above 0. Default: 1."),
 }
-"""Keys that place an entry: position, rotation and scale."""
+"""Keys that place an entry in the world: ``position``, ``rotation_wxyz`` and ``scale``."""
 STANDING = {
     "rotation_degrees": VECTOR.about("Rotation about x, then y, then z, degrees, instead of `rotation_wxyz`."),
     "look_at": VECTOR.about("Point to which the front is turned, with the object upright."),
@@ -53,12 +53,12 @@ STANDING = {
 
 
 _ROUNDING = 1e-15
-"""Largest deviation from 1 of the length of a normalised vector, due to rounding."""
+"""Deviation from length 1 up to which ``up`` in a scene file counts as normalised by a program."""
 _ROTATION_KEYS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
 
 
 _UPRIGHT_MIN = 0.7
-"""Smallest y component of the scene's up direction at which an object with y up counts as upright."""
+"""Smallest y of the scene's up direction at which a y-up object needs no rotation to look upright."""
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
@@ -76,7 +76,7 @@ def is_placed(values: Mapping[str, Any]) -> bool:
 
 
 def keep_saved_positions(document: TomlTable) -> None:
-    """Sets the position of unplaced meshes and actors in a saved scene file to the origin, where they were when saved.
+    """Keeps meshes and actors without a placement where their files have them, if a program saved the scene file.
 
     Earlier versions wrote no position for objects at the origin. Saved files are recognised by their unit ``up``;
     current versions write every position.
@@ -153,7 +153,7 @@ def insert_entry(
 
 
 def stand_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
-    """Rotates an actor upright whose keyframes move but do not rotate it, and logs the rotation.
+    """Rotates an actor without a stated rotation upright, and logs that. Its keyframes must not rotate it.
 
     Returns:
         The actor's ``world_from_file``, shape (4, 4).
@@ -232,7 +232,15 @@ def stated_up(path: Path) -> Vector | None:
 
 
 def _up_by_values(path: Path, kind: str) -> Vector | None:
-    """Returns the up direction from the metadata of a file, without reading its Gaussians; None if it states none."""
+    """Returns the up direction that a PLY, SPZ, SOG or block capture states, read without its Gaussians.
+
+    Args:
+        path: The file.
+        kind: Its format, from `format_of`.
+
+    Returns:
+        None if the file states no up direction, or has another format.
+    """
     if kind == ".ply":
         return orientation_of_comments(path, read_ply_header(path).comments).up
     if kind in (BLOCKS, STREAMED_SOG):
@@ -247,8 +255,12 @@ def _up_by_values(path: Path, kind: str) -> Vector | None:
 def _up_by_format(path: Path, kind: str, *_version: int) -> Vector | None:
     """Returns the up direction of a glTF or OpenUSD capture, which depends on the transform of its node.
 
-    The whole file is read, once for each version of the file. Log lines are suppressed, because the loader logs them
-    later.
+    The whole file is read. Log lines are suppressed, because the loader logs them later.
+
+    Args:
+        path: The file.
+        kind: Its format, from `format_of`.
+        *_version: Size and time of the file, by which the result is cached.
     """
     with _silenced():
         if kind in _USD:
@@ -278,7 +290,10 @@ def _up_of(loaded: Gaussians | Scene) -> Vector | None:
 
 
 def _has_up(file: GltfFile) -> bool:
-    """Returns whether Lumisplat's settings of a capture in the glTF file state an up direction. glTF itself is y up."""
+    """Returns whether Lumisplat stored the up direction of a capture in the extras of a glTF file.
+
+    Without it the up direction is unknown, although glTF files are y up.
+    """
     primitives = (one for mesh in file.model.meshes or [] for one in mesh.primitives)
     return any("up" in (lumisplat_extras(one) or {}) for one in primitives)
 
@@ -322,7 +337,7 @@ def scene_up(document: TomlTable) -> Vector:
 
 
 def _stated(table: TomlTable) -> Vector | None:
-    """Returns the up direction of an entry's capture after the entry's rotation; None if the capture states none.
+    """Returns the up direction that an entry's capture states, rotated as the entry says; None if it states none.
 
     None is also returned for an entry with ``upright`` or ``look_at``, because its rotation depends on the scene's up.
     """

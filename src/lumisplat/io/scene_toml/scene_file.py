@@ -178,7 +178,7 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
 
 
 def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> Animation:
-    """Builds the animation of a scene file. Cameras without keyframes are not part of it.
+    """Builds the animation of a scene file: actors, timing and the first moving camera, without static cameras.
 
     Args:
         document: Top-level table of the scene file.
@@ -195,7 +195,10 @@ def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> 
 
 
 def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: CameraPath | None) -> int:
-    """Returns the number of frames from ``frames``, from ``duration``, or from the longest actor or camera path."""
+    """Returns the number of frames of an animation: ``frames``, or else ``duration`` times ``fps``.
+
+    Without either key, the duration is that of the longest actor or camera path.
+    """
     given = table.values
     if "frames" in given:
         count = given["frames"]

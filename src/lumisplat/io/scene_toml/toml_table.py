@@ -63,7 +63,7 @@ def line_numbers(text: str) -> dict[KeyPath, int]:
 
 
 class _Scanner:
-    """Scans the tokens of a TOML document and records the line of every key."""
+    """Scans the tokens of a TOML document that tomllib has accepted, and records the line of every key in ``lines``."""
 
     def __init__(self, text: str) -> None:
         self.lines: dict[KeyPath, int] = {}
@@ -114,7 +114,7 @@ class _Scanner:
         return path
 
     def _latest(self, path: KeyPath) -> KeyPath:
-        """Returns ``path``, with the index of the last element appended if the path leads to an array of tables."""
+        """Returns ``path``, or if it leads to an array of tables, the path of the array's last table so far."""
         return (*path, self._array_sizes[path] - 1) if path in self._array_sizes else path
 
     def _keys(self, end: str) -> tuple[list[str], int]:
@@ -129,7 +129,7 @@ class _Scanner:
         return keys, line
 
     def _pair(self, table: KeyPath) -> None:
-        """Reads ``key = value``."""
+        """Reads ``key = value`` and records the key's line; ``table`` is the path of the table that contains it."""
         keys, line = self._keys("=")
         for depth in range(len(keys)):
             self.lines.setdefault((*table, *keys[: depth + 1]), line)
@@ -144,7 +144,7 @@ class _Scanner:
                 self._at += 1
 
     def _members(self, path: KeyPath, end: str) -> None:
-        """Reads the contents of an array or an inline table, up to and including its closing bracket."""
+        """Reads the rest of an array or inline table at ``path``, up to its closing bracket ``end``."""
         index = 0
         while (token := self._next()).text != end:
             if token.text in ("\n", ","):
@@ -164,7 +164,7 @@ class Kind(NamedTuple):
     expected: str
     """Description of the type for error messages, such as ``three numbers``."""
     accepts: Callable[[object], bool]
-    """Returns whether a value has this type."""
+    """Function that returns whether a value has this type."""
     help: str = ""
     """Meaning of the key that has this kind, in one line for docs/scene_file.md."""
 
@@ -238,7 +238,7 @@ class _Source(NamedTuple):
 _LONG_KEY = re.compile(
     rf"""(?<![\w-])(?:(?>[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{TOML_KEY_PARTS_MAX}}}""", re.ASCII
 )
-"""Matches the beginning of a dotted key that has more than `TOML_KEY_PARTS_MAX` parts."""
+"""Matches a dotted key with more than `TOML_KEY_PARTS_MAX` parts, which is refused before tomllib parses the file."""
 
 
 class TomlTable:
@@ -298,7 +298,7 @@ class TomlTable:
 
     @property
     def is_of_file(self) -> bool:
-        """Whether the table was read from a file and not created in memory."""
+        """True for a table that was read from a file, False for one that `of` created in memory."""
         return bool(self._source.text)
 
     def error(self, problem: str, key: str | None = None) -> FormatError:
@@ -312,9 +312,9 @@ class TomlTable:
         return FormatError(self.path, location + problem)
 
     def failed(self, error: LumisplatError) -> FormatError:
-        """Creates an error from an error of an object made from this table.
+        """Creates a `FormatError` with the text of ``error``, which a class raised for values of this table.
 
-        The message names the line of the first key that the text of ``error`` mentions.
+        The message names the line of the first key of the table that the text mentions.
         """
         named = (word for word in re.findall(r"\w+", str(error)) if word in self.values)
         return self.error(str(error), next(named, None))
@@ -431,16 +431,14 @@ _KINDS: dict[str, Kind] = {
     "choice": TEXT,
 }
 _FIELD_KINDS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
-"""Kinds of two fields whose Python type does not determine the TOML type. All other fields of undetermined type are
-images, given as file names.
-"""
+"""TOML types of two fields that their Python type does not tell. Other such fields are images, given by file name."""
 
 DEGREES = "_degrees"
 """Suffix of the keys for angles: the value of the key is in degrees, that of the dataclass field in radians."""
 
 
 def key_of(field: Setting | Field[Any]) -> str:
-    """Returns the scene file key of a dataclass field."""
+    """Returns the scene file key of a dataclass field: its name, with ``_degrees`` added for angles."""
     return field.name + (DEGREES if field.name.endswith("angle") else "")
 
 

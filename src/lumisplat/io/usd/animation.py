@@ -134,7 +134,7 @@ def _transform_time_codes(prim: Any) -> Doubles:
 
 
 def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
-    """Returns the first and last time code: those of the stage if authored, else the first and last of ``codes``."""
+    """Returns the first and last time code of an animation: as the stage states, else of all samples in ``codes``."""
     if file.stage.HasAuthoredTimeCodeRange():
         return float(file.stage.GetStartTimeCode()), float(file.stage.GetEndTimeCode())
     sampled = np.concatenate([np.zeros(0), *codes])
@@ -149,7 +149,15 @@ def _world_transforms(file: UsdFile, prim: Any, codes: Doubles) -> Doubles:
 
 
 def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles, seconds: Doubles) -> Iterator[Actor]:
-    """Yields an actor for each instance of a prim. ``seconds`` holds the same times as the time codes in ``codes``."""
+    """Yields an actor with keyframes for each instance of a prim whose transform has time samples.
+
+    Args:
+        file: The open file.
+        prim: The prim.
+        instances: Its captures and meshes.
+        codes: Time codes of the keyframes.
+        seconds: The same times in seconds.
+    """
     transforms = _world_transforms(file, prim, codes)
     rest = np.eye(4)
     try:
@@ -172,9 +180,9 @@ def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles,
 
 
 def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns the quaternions, shape (K, 4), and the uniform scales, shape (K,), of K transforms.
+    """Returns quaternions wxyz, shape (K, 4), and uniform scales, shape (K,), nearest to the K transforms of a prim.
 
-    A remark reports transforms that stretch or mirror.
+    A remark is recorded if a transform stretches or mirrors, which both cannot represent.
     """
     linear = transforms[:, :3, :3]
     left, factors, right = np.linalg.svd(linear)

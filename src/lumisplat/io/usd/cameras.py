@@ -32,7 +32,7 @@ _APERTURE_UNIT = 0.1
 _Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 """Rotation between OpenUSD camera axes (y up, looking along -z) and Lumisplat's (y down, looking along z)."""
 _FAR = 1e6
-"""Distance of the far end of the clippingRange of written cameras, metres."""
+"""Smallest far end of the clippingRange of written cameras, metres."""
 _RENDER = "/Render"
 
 
@@ -85,7 +85,7 @@ def cameras_of(file: UsdFile, width: int | None = None, height: int | None = Non
 
 
 def _product_sizes(file: UsdFile) -> dict[str, _Size]:
-    """Returns image sizes from render products and render settings, by the path of the camera that they render."""
+    """Returns the image size of each camera for which a render product or render settings state one, by camera path."""
     px, sizes = pxr(), dict[str, _Size]()
     for prim in file.stage.Traverse():
         if prim.IsA(px.UsdRender.SettingsBase) and prim.GetAttribute("resolution").HasAuthoredValue():
@@ -143,7 +143,7 @@ def _camera(
 
 
 def _exposure(file: UsdFile, prim: Any) -> float:
-    """Returns a camera's exposure in stops: compensation plus the effect of time, ISO, f-stop and responsivity."""
+    """Returns a camera's exposure in stops: ``exposure`` plus log2(responsivity time ISO / 100 / fStop^2)."""
     time, iso, responsivity = (
         number(file, prim, f"exposure:{name}", default)
         for name, default in (("time", 1.0), ("iso", 100.0), ("responsivity", 1.0))

@@ -37,7 +37,7 @@ USD_LAYERS_MAX = 10_000
 
 _MODULES = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdRender", "UsdShade", "UsdVol", "Vt")
 _REASON_MAX = 160
-"""Largest number of characters of the library's error text that a message of Lumisplat quotes."""
+"""Largest number of characters of usd-core's error text that an error message quotes."""
 
 _INTERNAL = re.compile(r"pxrInternal_\w+?__(::)?")
 """Matches the prefixes of internal namespaces, which error messages leave out."""
@@ -218,12 +218,12 @@ def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
 
 
 def check_loaded(path: Path) -> None:
-    """Checks which layers the library has open: none may lie outside of the folder of ``path`` without permission.
+    """Refuses a stage for which the library has opened a layer outside of the folder of ``path`` without permission.
 
     Reading values can open further layers, so this check runs after all values are read.
 
     Raises:
-        FormatError: The library has opened a layer outside of the folder without permission.
+        FormatError: There is such a layer.
     """
     px = pxr()
     for layer in px.Sdf.Layer.GetLoadedLayers():
@@ -239,7 +239,7 @@ def check_loaded(path: Path) -> None:
 
 
 def _layer_dependencies(layer: Any) -> Iterator[str]:
-    """Yields the names that a layer gives of other layers: sublayers, references, payloads, clips, also in variants."""
+    """Yields the names of other layers in a layer: its sublayers, references, payloads and clips, in all variants."""
     yield from (str(name) for name in layer.GetCompositionAssetDependencies() if name)
     clips: list[Any] = []
 
@@ -256,7 +256,7 @@ def _layer_dependencies(layer: Any) -> Iterator[str]:
 
 
 def _asset_packages(layer: Any) -> Iterator[str]:
-    """Yields asset values that name files in packages or are expressions: the library opens such files itself."""
+    """Yields the asset values of a layer that the library would open by itself: files in packages, and expressions."""
     px, values = pxr(), list[Any]()
 
     def collect(at: Any) -> None:

@@ -63,7 +63,7 @@ _UNREAD_INPUTS = {
 """Remark to log, and neutral value, of each light input that Lumisplat does not read. An input with its neutral value
 has no effect and is not reported."""
 _SOFTNESS_MIN = 1e-6
-"""Smallest softness of a cone's edge, as a fraction of its angle."""
+"""Smallest softness of a spot: the width of its edge as a fraction of the cone angle. 0 would make a hard edge."""
 
 _DOME_FROM_ENVIRONMENT = np.diag([-1.0, 1.0, -1.0])
 """Rotation from a `LightEnvironment` image, which has -z in its middle and +x to the right, to a dome light: a half
@@ -109,7 +109,7 @@ def read_light(file: UsdFile, placed: PlacedPrim) -> Light | None:
 
 
 def _custom_fields(light: Light, custom_data: dict[str, Any]) -> dict[str, Any]:
-    """Returns the fields of a light that UsdLux has no attribute for, from the customData that Lumisplat writes."""
+    """Returns ``range`` and ``visible`` of a light, which UsdLux lacks, from customData that Lumisplat wrote."""
     kinds = {"range": (float, int), "visible": (bool,)}
     return {
         name: custom_data[name]
@@ -145,7 +145,7 @@ def _scale(placed: PlacedPrim) -> float:
 
 
 def _shadow_distance(file: UsdFile, placed: PlacedPrim) -> float:
-    """Returns the largest distance at which objects cast shadows, world units; inf if the file has a negative value."""
+    """Returns the largest distance at which objects cast shadows, world units; inf unless the file states one > 0."""
     distance = number(file, placed.prim, "inputs:shadow:distance", -1.0)
     return distance * _scale(placed) if distance > 0.0 else math.inf
 
@@ -175,7 +175,7 @@ def _sphere(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str
 
 
 def _distant(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
-    """Reads a DistantLight as a directional light. Its cone is clamped to a hemisphere."""
+    """Reads a DistantLight as a directional light whose angular radius is half its ``angle``, at most 90 degrees."""
     angle = math.radians(min(max(number(file, placed.prim, "inputs:angle", 0.53), 0.0), 360.0)) / 2.0
     lux = emission
     if angle > 0.0 and not _normalises(file, placed.prim):
@@ -223,7 +223,17 @@ def _disk(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, 
 
 
 def _flat_radiance(file: UsdFile, placed: PlacedPrim, emission: float, area: float, kind: str) -> float:
-    """Returns the radiance of a rectangle or disk light; the emission of a normalized light is divided by ``area``."""
+    """Returns the radiance of a rectangle or disk light from its emission, which is divided by ``area`` if normalized.
+
+    A cone is ignored, with a remark.
+
+    Args:
+        file: The open file.
+        placed: The light.
+        emission: Intensity times 2^exposure.
+        area: Area of the light in square metres.
+        kind: Name of the light type, for the remark.
+    """
     if _has_cone(placed.prim):
         file.remarks.add(f"cones of {kind} lights", str(placed.prim.GetPath()))
     return emission * (file.unit**2 / area) if _normalises(file, placed.prim) else emission
@@ -335,7 +345,7 @@ def write_light(writer: StageWriter, light: Light) -> None:
 
 
 def _define(writer: StageWriter, light: Light, kind: str) -> Any:
-    """Defines a prim of a UsdLux type for a light, and returns the prim."""
+    """Creates a prim of the UsdLux type ``kind``, such as ``SphereLight``, with a free path from the light's name."""
     path = writer.path_of(light.name or kind)
     return getattr(pxr().UsdLux, kind).Define(writer.stage, path).GetPrim()
 

@@ -64,7 +64,7 @@ class _TextureInput:
 
     asset: Any
     channel: int | None
-    """Texture channel that the input uses, 0..3; None uses red, green and blue."""
+    """Texture channel that the shader input takes, 0 to 3 for r, g, b, a; None takes red, green and blue."""
     uv_transform: UvTransform
     wraps: WrapPair
     scale: Doubles
@@ -75,7 +75,7 @@ class _TextureInput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ShaderInput:
-    """Source of a shader input: a constant, a texture, or a primvar of the mesh."""
+    """Where the value of a shader input comes from: a constant, a texture, or a primvar of the mesh (its name)."""
 
     value: Any = None
     texture: _TextureInput | None = None
@@ -113,12 +113,12 @@ class _PreviewSurface:
 
 
 def _surface_of(file: UsdFile, material: Any, remark: bool) -> _PreviewSurface | None:
-    """Returns the UsdPreviewSurface shader of a material; None for any other surface shader.
+    """Returns the UsdPreviewSurface shader of a material; None if the material has another surface shader, or none.
 
     Args:
         file: The open file.
         material: The material prim.
-        remark: Whether to record a remark about an unsupported shader.
+        remark: Whether to record a remark in the case of None.
     """
     shader = material.ComputeSurfaceSource()[0]
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
@@ -222,7 +222,7 @@ class ReadMaterial(NamedTuple):
 
     material: MaterialPbr
     uv_transform: UvTransform = UvTransform()
-    """Texture coordinates that all textures of the material use."""
+    """Primvar and transform of the texture coordinates that all textures of the material share."""
     color_primvar: str = ""
     """Name of the mesh primvar that provides the base colour; empty if no primvar does."""
 
@@ -268,10 +268,7 @@ class UsdMaterials:
         return self._cache[key]
 
     def sided(self, material: MaterialPbr, prim: Any) -> MaterialPbr:
-        """Returns the material for a mesh: an emissive one emits from front faces only, unless the mesh is two-sided.
-
-        A mesh is two-sided if its attribute doubleSided is True.
-        """
+        """Returns a material for a mesh: emissive ones emit from front faces only, unless the mesh is doubleSided."""
         if not material.is_emissive or value(self._file, prim, "doubleSided", False):
             return material
         if id(material) not in self._one_sided:
@@ -287,7 +284,7 @@ class UsdMaterials:
         return self._images[name]
 
     def remark(self, text: str, label: str) -> None:
-        """Records that a feature of a material is left out."""
+        """Records for the log that a feature, ``text``, of the material or texture ``label`` is left out."""
         self._file.remarks.add(text, label)
 
 
@@ -363,7 +360,7 @@ class _Decoder:
             self._set("emissive_texture", texture, self._colors(texture))
 
     def _colors(self, texture: _TextureInput) -> Texture:
-        """Returns red, green and blue of a texture, encoded as sRGB."""
+        """Returns red, green and blue of a colour texture in sRGB; linear values (``raw``) are encoded as sRGB."""
         texels = self._materials.texels(texture)
         texels = texels[:, :, :3] if texture.channel is None else np.repeat(_channel(texels, texture)[:, :, None], 3, 2)
         if texture.bias[:3].any():
@@ -374,7 +371,10 @@ class _Decoder:
         return table[texels]
 
     def _metallic_roughness(self) -> None:
-        """Combines the roughness and metallic textures into one, with roughness in green and metallic in blue."""
+        """Stores roughness and metallic textures as one, with roughness in green and metallic in blue, as in glTF.
+
+        The plane of an input without a texture becomes 255.
+        """
         planes: dict[int, _Texels] = {}
         for name, plane in (("roughness", 1), ("metallic", 2)):
             texture = self._texture_input(name)
@@ -399,7 +399,7 @@ class _Decoder:
             self._values["metallic_roughness_texture"] = both
 
     def _plane(self, texture: _TextureInput, channel_index: int) -> _Texels:
-        """Returns three channels of a texture, with the channel that the input uses moved to ``channel_index``."""
+        """Returns three channels of a texture; channel ``channel_index`` is the one that the shader input takes."""
         texels, channel = self._materials.texels(texture), texture.channel or 0
         if channel == channel_index:
             return texels[:, :, :3] if texels.shape[2] > 3 else texels
@@ -461,9 +461,9 @@ class _Decoder:
         self._values["base_color_texture"] = np.concatenate([colors[:, :, :3], plane[:, :, None]], axis=2)
 
     def _wrap_values(self) -> dict[str, Any]:
-        """Returns the wrap fields of the material: the first texture's modes as default, and those of other textures.
+        """Returns wrap fields of a material: ``wrap_u`` and ``wrap_v`` of the first texture, and ``texture_wraps``.
 
-        Only textures whose modes differ from the default are listed.
+        ``texture_wraps`` has the modes of textures that differ from the first.
         """
         if not self._wraps:
             return {}
@@ -473,7 +473,7 @@ class _Decoder:
 
 
 def _channel(texels: _Texels, texture: _TextureInput) -> _Texels:
-    """Returns the texture channel that a shader input uses, shape (H, W); 255 if the image lacks that channel."""
+    """Returns the channel of a texture that a shader input takes, shape (H, W); 255 if the image lacks that channel."""
     channel = texture.channel or 0
     return texels[:, :, channel] if channel < texels.shape[2] else np.full(texels.shape[:2], 255, np.uint8)
 
@@ -535,7 +535,15 @@ class _Network:
         return made
 
     def _connect(self, name: str, kind: str, source: Any, output: str, output_kind: str) -> None:
-        """Connects an input of the surface shader to an output of another node."""
+        """Connects an input of the UsdPreviewSurface to an output of a texture or primvar node.
+
+        Args:
+            name: Name of the input.
+            kind: Sdf value type of the input, such as ``Float``.
+            source: The node.
+            output: Name of the output, such as ``rgb``.
+            output_kind: Sdf value type of the output.
+        """
         types = pxr().Sdf.ValueTypeNames
         made = source.CreateOutput(output, getattr(types, output_kind))
         self._surface.CreateInput(name, getattr(types, kind)).ConnectToSource(made)
@@ -624,7 +632,15 @@ class _Network:
             self._set(self._surface, "opacityMode", "Token", "presence")
 
     def _write_plane(self, texture: str, name: str, factor: float, channel: str, scale: tuple[float, ...]) -> None:
-        """Writes the shader input ``name``: a texture channel times ``scale``, or ``factor`` without a texture."""
+        """Writes a scalar input of the UsdPreviewSurface, such as roughness.
+
+        Args:
+            texture: Material field whose texture gives the value.
+            name: Name of the input.
+            factor: Constant value if the material has no such texture.
+            channel: Texture channel, such as ``g``.
+            scale: Factors of the four channels.
+        """
         source = self._texture(texture, scale)
         if source is None:
             self._set(self._surface, name, "Float", factor)

@@ -27,7 +27,7 @@ _SHAPES = ("Cube", "Sphere", "Plane")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attribute:
-    """Attribute or primvar of a mesh."""
+    """Values of an attribute or primvar of a mesh, with their USD interpolation."""
 
     values: FloatArray
     """Values as float32, shape (N, C): N values of C numbers, one for each element that ``interpolation`` names."""
@@ -78,7 +78,7 @@ class Polygons:
         self.attributes[name] = attribute
 
     def _needed(self, interpolation: str) -> int:
-        """Returns the number of values that an attribute with this interpolation must have."""
+        """Returns how many values an attribute must have for its interpolation, such as one per face for "uniform"."""
         sizes = {"uniform": len(self.counts), "faceVarying": len(self.indices), "constant": 1}
         return sizes.get(interpolation, len(self.positions))
 
@@ -142,7 +142,12 @@ class UsdMeshes:
         return [MeshInstance(mesh, at, name=placed.name, shadow_catcher=catches) for mesh in self._cache[key]]
 
     def _read(self, placed: PlacedPrim, bound: ReadMaterial | None) -> list[Mesh]:
-        """Reads a mesh prim, one mesh for each material."""
+        """Reads a mesh prim as one mesh for each material that its faces have; empty if it has no faces.
+
+        Args:
+            placed: The prim.
+            bound: Material of the faces that no geometry subset contains; None if none is bound.
+        """
         file, prim = self._file, placed.prim
         positions = array(file, prim, "points", 3)
         counts, indices = whole_numbers(file, prim, "faceVertexCounts"), whole_numbers(file, prim, "faceVertexIndices")
@@ -157,9 +162,15 @@ class UsdMeshes:
         return meshes
 
     def _groups(self, prim: Any, count: int, bound: ReadMaterial | None) -> list[tuple[Flags, ReadMaterial | None]]:
-        """Returns each material of a mesh prim with a mask of its faces, shape (faces,).
+        """Returns the materials of a mesh prim, each with a mask of the faces that have it, shape (faces,).
 
-        The geometry subsets come first, then the faces that no subset contains.
+        Geometry subsets with a material come first, then all other faces, which have the material ``bound``. Holes are
+        left out.
+
+        Args:
+            prim: The mesh prim.
+            count: Number of faces.
+            bound: Material of the whole prim; None if none is bound.
         """
         ungrouped = np.ones(count, bool)
         holes = whole_numbers(self._file, prim, "holeIndices")
@@ -175,7 +186,14 @@ class UsdMeshes:
         return [group for group in (*groups, (ungrouped, bound)) if group[0].any()]
 
     def _group(self, placed: PlacedPrim, polygons: Polygons, faces: Flags, read: ReadMaterial | None) -> Mesh | None:
-        """Returns the masked faces, which have one material, as a mesh; None if no triangle is usable."""
+        """Returns the faces of a mesh prim with one material as a mesh; None if none of their triangles is usable.
+
+        Args:
+            placed: The prim.
+            polygons: Its polygons.
+            faces: Mask of the faces, shape (P,) for P faces.
+            read: Their material; None without one.
+        """
         file, prim = self._file, placed.prim
         subdivided = value(file, prim, "subdivisionScheme", "catmullClark") != "none"
         polygons.add("normals", _normals(file, prim))
@@ -252,7 +270,12 @@ def _primvar(file: UsdFile, prim: Any, name: str, columns: int) -> Attribute | N
 
 
 def _used(triangles: Rows, arrays: dict[str, FloatArray]) -> tuple[IntArray, dict[str, FloatArray]]:
-    """Removes the vertices that no triangle uses. Returns the renumbered triangles and the remaining attribute rows."""
+    """Removes vertices that no triangle uses. Returns the triangles with new vertex indices, and the remaining rows.
+
+    Args:
+        triangles: Vertex indices, shape (F, 3).
+        arrays: Rows of V vertices by attribute name; ``positions`` is one of them.
+    """
     used = np.zeros(len(arrays["positions"]), bool)
     used[triangles] = True
     if used.all():

@@ -17,11 +17,12 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import display_sh
 
 _TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaussianSplat")
-"""Prim types of particle fields. Applied schemas give the second type its meaning; Nuke 17.0 wrote the third."""
+"""Type names of prims that may hold Gaussians. ``ParticleField`` does by its schemas; Nuke 17.0 wrote the third."""
 _KERNEL = "ParticleFieldKernel"
 _ELLIPSOID, _SURFLET = "ParticleFieldKernelGaussianEllipsoidAPI", "ParticleFieldKernelGaussianSurfletAPI"
 _PRIMVARS = {"normals": 3, "albedo": 3, "roughness": 1, "metallic": 1}
-"""Numbers per Gaussian of each primvar of relightable captures. A primvar has the name of its `Gaussians` field."""
+"""Numbers per Gaussian of the primvars for normals and materials, by name, which is also that of the `Gaussians`
+field."""
 _COLOR_SPACE = "srgb_rec709_scene"
 """Colour space of captures by its OpenUSD name. Other programs write srgb_rec709_display."""
 _LINEAR = ("lin_rec709", "lin_srgb", "lin_rec709_scene", "lin_rec709_display")
@@ -31,7 +32,7 @@ _DEGREE_MAX = 10
 Floats = npt.NDArray[np.float32]
 
 _EXTENT_SCALES = 3.0
-"""Radius that each Gaussian adds to the extent of a field, in standard deviations."""
+"""Radius of a Gaussian in the ``extent`` of a particle field, in standard deviations along its longest axis."""
 _SH_ATTRIBUTE = "radiance:sphericalHarmonics"
 
 
@@ -105,7 +106,7 @@ def _float_or_half(file: UsdFile, prim: Any, name: str, columns: int) -> Floats 
 
 
 def _resized(values: Floats | None, count: int, default: Any) -> Floats:
-    """Returns the first ``count`` rows of ``values``, or ``count`` rows of ``default`` if ``values`` has fewer."""
+    """Returns the first ``count`` rows of ``values``. If there are fewer, all rows are ``default``."""
     if values is None or len(values) < count:
         return np.tile(np.array(default, np.float32), (count, 1) if np.ndim(default) else count)
     return values[:count]
@@ -136,7 +137,7 @@ def _sh(file: UsdFile, prim: Any, count: int) -> Floats:
 
 
 def _color_space(prim: Any) -> str:
-    """Returns the colour space of the SH coefficients, from their metadata or the prim; empty if neither states it."""
+    """Returns the OpenUSD name of the colour space that the SH coefficients or the prim state; empty if none."""
     attributes = (prim.GetAttribute(f"radiance:sphericalHarmonicsCoefficients{end}") for end in ("", "h"))
     authored = [str(one.GetColorSpace()) for one in attributes if one and one.HasColorSpace()]
     attribute = prim.GetAttribute("colorSpace:name")
@@ -174,7 +175,7 @@ def define_field(writer: StageWriter, path: str, gaussians: Gaussians) -> Any:
 
 
 def particle_values(gaussians: Gaussians) -> dict[str, Any]:
-    """Returns the attributes of a particle field that may have time samples, by name."""
+    """Returns the attributes of a particle field that an animation may sample, by name: means, SH, extent and so on."""
     vt = pxr().Vt
     return {
         "positions": vt.Vec3fArray.FromNumpy(gaussians.means),

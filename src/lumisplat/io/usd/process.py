@@ -83,9 +83,9 @@ class _Request:
     """Working folder of the parent, from which relative paths start."""
     allow_outside: bool
     limit: _Limit
-    """Limits that apply until the parent has granted access to the first layer."""
+    """Limits on memory and time before the parent has allowed any layer; each allowed layer raises them."""
     level: int
-    """Lowest level of log records that the parent handles."""
+    """Lowest level of log records that the parent's logger would emit; the child sends no lower ones."""
 
 
 def read_in_child(path: PathLike, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -146,7 +146,7 @@ class Remote:
 
 
 class _Child:
-    """Child process as the parent sees it: its pipes, its limits and its current request."""
+    """A child process that reads OpenUSD files, as seen by the parent: pipes, limits and the current request."""
 
     _idle: list[_Child] = []  # noqa: RUF012
     _lock = threading.RLock()  # `_drop_remote` may run at any time, also within `acquire`
@@ -167,12 +167,12 @@ class _Child:
         self._reader = 0
         """Id of the process that reads the current file: the child or its fork; 0 if no file is being read."""
         self._limit = _Limit.of(0)
-        """Limits of the current file."""
+        """Memory and time limits of the child for the current file."""
         self._size = 0
         """Total size in bytes of the current file's layers that the child has asked for."""
         self._calls = threading.Lock()
         self._remotes = 0
-        """Number of remote functions that the parent still holds."""
+        """Number of functions in the child for which the parent still holds a proxy; see `Remote`."""
         self._path = Path()
 
     @classmethod
@@ -187,7 +187,10 @@ class _Child:
         return cls()
 
     def release(self) -> None:
-        """Ends the request and makes the child idle; does nothing while the parent holds a remote function of it."""
+        """Ends the current request and makes the child idle, unless the parent holds a proxy for the child.
+
+        A proxy calls a `Remote` function, which stays in the child.
+        """
         if self._remotes:
             return
         with contextlib.suppress(OSError, EOFError, ValueError):  # the child may have ended and its pipes be closed
@@ -212,10 +215,10 @@ class _Child:
         self._process.wait()
 
     def call(self, request: _Request | tuple[int, float], path: Path) -> Any:
-        """Sends a request or calls a remote function, and returns the result.
+        """Sends a request or calls a function that stays in the child, and returns the result.
 
         Args:
-            request: A request to read a file, or the number and the argument of a remote function.
+            request: A request to read a file, or the number of a `Remote` and its argument.
             path: The file, named in errors.
 
         Raises:
@@ -260,7 +263,7 @@ class _Child:
                 raise
 
     def _begin(self, request: _Request | tuple[int, float]) -> _Limit:
-        """Returns the limits for a call. A new request, unlike a remote call, resets the state of the previous file."""
+        """Returns the limits for a call. A new request first resets the limits and sizes of the file before it."""
         if isinstance(request, _Request):
             self._reader, self._size, self._limit = 0, 0, request.limit
         return self._limit
@@ -289,7 +292,7 @@ class _Child:
         return receive(self._out, self._remote)
 
     def _remote(self, number: int) -> Callable[[float], Any]:
-        """Returns a proxy of a remote function. The child is reserved until the last proxy is deleted."""
+        """Returns a proxy that calls the child's `Remote` with this number; the child is reserved while it exists."""
         self._remotes += 1
 
         def call(argument: float) -> Any:
@@ -391,7 +394,8 @@ class _Session:
     output: BinaryIO
     limit: _Limit
     used: float = 0.0
-    """Processor time in seconds that this process had already used when the current call began."""
+    """Processor time of this process in seconds at the start of the current call, which does not count for its limit.
+    """
     remotes: list[Remote] = field(default_factory=list[Remote])
     has_assets: bool = False
 
@@ -400,7 +404,7 @@ class _Session:
         send(self.output, (kind, value), self._number)
 
     def _number(self, value: Any) -> int | None:
-        """Registers a `Remote`, which stays in the child, and returns its number; returns None for any other value."""
+        """Keeps a `Remote` in the child and returns a number by which the parent calls it; None for other values."""
         if not isinstance(value, Remote):
             return None
         self.remotes.append(value)
@@ -431,7 +435,7 @@ class _Session:
 
 
 _session: _Session | None = None
-"""Session of the current process in a child; None in the parent."""
+"""Session of this process if it is a child that reads OpenUSD files; None in all other processes."""
 
 
 def request_access(file: Path) -> None:
@@ -535,7 +539,7 @@ def _limit(memory: int, seconds: float) -> None:
 
 
 class _LogForwarder(logging.Handler):
-    """Sends log records to the parent."""
+    """Logging handler of a child process that sends log records to the parent, which emits them."""
 
     def __init__(self, session: _Session) -> None:
         super().__init__()
@@ -549,12 +553,13 @@ class _LogForwarder(logging.Handler):
 
 
 def send(stream: BinaryIO, value: Any, number_of: Callable[[Any], int | None] | None = None) -> None:
-    """Writes a value to a pipe as several byte strings: their number, then each string after its length.
+    """Writes a value to a pipe by pickle: the number of byte strings, then each byte string after its length.
 
     Args:
         stream: The pipe.
         value: A picklable value. Each array becomes a separate byte string and is not copied.
-        number_of: Returns a number for a value that stays in this process and is sent as that number; None for others.
+        number_of: Returns the number to send instead of an object that stays in this process; None for other objects.
+            None as the function sends all objects.
     """
     data, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
     pickler = pickle.Pickler(data, 5, buffer_callback=buffers.append)
@@ -574,7 +579,7 @@ def receive(stream: BinaryIO, load: Callable[[int], Any] | None = None) -> Any:
 
     Args:
         stream: The pipe.
-        load: Returns the value to use in place of a number that `send` wrote for a value of the other process.
+        load: Returns the object for a number that `send` wrote instead of an object; None if there are none.
 
     Raises:
         EOFError: The pipe is closed.

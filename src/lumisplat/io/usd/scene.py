@@ -28,7 +28,7 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
 _NON_SHAPE_ATTRIBUTES = ("xformOp:", "visibility", "extent", "velocities", "accelerations", "angularVelocities")
-"""Prefixes of attributes whose time samples do not change the shape."""
+"""Beginnings of attribute names whose time samples leave a prim's shape as it is, such as transforms and visibility."""
 
 
 def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
@@ -82,7 +82,7 @@ def _holds_one_capture(path: Path) -> bool:
 
 
 def _settings(prim: Any) -> dict[str, Any]:
-    """Returns ``sh_degree`` and ``shadow_catcher`` of a prim that Lumisplat wrote; empty for other prims."""
+    """Returns ``sh_degree`` and ``shadow_catcher`` from a prim's customData, if Lumisplat wrote them; else empty."""
     custom_data = with_current_keys(custom_data_of(prim))
     return {name: custom_data[name] for name in ("sh_degree", "shadow_catcher") if name in custom_data}
 
@@ -183,7 +183,13 @@ class StageReader:
             file.time = before
 
     def _collect(self, placed: PlacedPrim, collection: list[Any], instances: list[Any]) -> None:
-        """Adds a prim's instances to ``collection``, and to `moving` or `deforming` if the prim has time samples."""
+        """Adds instances of a prim to ``collection``, and to `moving` or `deforming` if the prim has time samples.
+
+        Args:
+            placed: The prim.
+            collection: `splats` or `meshes`.
+            instances: The instances.
+        """
         collection.extend(instances)
         if not instances:
             return

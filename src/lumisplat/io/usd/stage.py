@@ -46,7 +46,7 @@ _REMARKS_LISTED = 12
 _CUSTOM_DATA_KEY = "lumisplat"
 """Key in a prim's customData whose dictionary holds the Lumisplat settings that OpenUSD has no attribute for."""
 _UNIT_ERROR = 1e-9
-"""Relative difference from 1 below which metersPerUnit counts as 1."""
+"""Difference from 1 up to which metersPerUnit counts as 1, so that no change of unit is logged."""
 
 _ROOT = "/World"
 """Path of the default prim, the parent of all written prims."""
@@ -54,11 +54,11 @@ _ROOT = "/World"
 
 @dataclass(slots=True)
 class Remarks:
-    """Collects the features that are lost when a file is read or written, and the names of the prims that have them."""
+    """Collects remarks: features that are lost when a file is read or written, with the prims that have them."""
 
     path: PathLike
     head: str
-    """Text of the log line between the file's path and the list of remarks."""
+    """Words of the log line between the file's path and the remarks, such as "not read, or read differently"."""
     names: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
 
     def add(self, remark: str, name: str = "") -> None:
@@ -99,7 +99,7 @@ class UsdFile:
     """Transform from stage space to the world, which has y up and metres, shape (4, 4)."""
     remarks: Remarks
     layers: list[Any]
-    """Layers that must stay referenced, because the USD library drops layers that no object references."""
+    """Layers that this object keeps alive, because the USD library drops layers without references."""
 
     @property
     def unit(self) -> float:
@@ -296,8 +296,8 @@ class StageWriter:
     files: dict[str, bytes] = field(default_factory=dict[str, bytes])
     """Contents of the texture files to write next to the layer, by file name."""
     _textures: dict[int, tuple[Texture, str]] = field(default_factory=dict[int, "tuple[Texture, str]"])
-    """Texel arrays with the asset paths that they are written to, by ``id(texels)``. The reference to the array keeps
-    its id unique."""
+    """Textures written so far, by ``id`` of their texels: the texels, kept so that the id stays unique, and asset
+    path."""
     _paths: set[str] = field(default_factory=set[str])
 
     def __post_init__(self) -> None:
@@ -382,7 +382,7 @@ def _png_bytes(texels: Texture) -> bytes:
 
 
 class PlacedPrim(NamedTuple):
-    """A prim with one of its world transforms. A prim inside a prototype yields one `PlacedPrim` per instance."""
+    """A prim with its transform to the world. A prim that is instanced several times gives one for each instance."""
 
     prim: Any
     world_from_prim: Doubles
@@ -394,7 +394,7 @@ class PlacedPrim(NamedTuple):
     animated: bool = False
     """True if the prim's transform has time samples."""
     instanced: bool = False
-    """True if a point instancer provides the transform."""
+    """True if a point instancer places the prim."""
 
     @property
     def asset(self) -> str:
@@ -421,7 +421,10 @@ def placed_prims(file: UsdFile) -> Iterator[PlacedPrim]:
 
 
 def prim_name(prim: Any) -> str:
-    """Returns a prim's displayName, else its path name; for the only prim of an instance, the name of the instance."""
+    """Returns the display name of a prim, or else the last part of its path.
+
+    The only prim inside an instance gets the name of the instance.
+    """
     px, parent = pxr(), prim.GetParent()
     if prim.IsInstanceProxy() and parent.IsInstance():
         everything = px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)
@@ -445,8 +448,8 @@ class _Walk:
 
         Args:
             root: A prim.
-            world_from_base: Transform, shape (4, 4), that is applied after the prim transforms of ``xform_cache``: from
-                stage space to the world and, for a prototype, to its instance.
+            world_from_base: Transform, shape (4, 4), applied after each prim's transform in ``xform_cache``: from stage
+                space to the world or, below a prototype, from the prototype to an instance in the world.
             instancers: Paths of the enclosing point instancers. An instancer that instances itself is skipped.
         """
         file, px = self.file, pxr()

@@ -154,7 +154,7 @@ def _name(instance: Instance) -> str:
 
 
 def _key(instance: Instance) -> tuple[int, int, int]:
-    """Returns a key of an instance's asset, material and settings. Instances with equal keys share a prototype."""
+    """Returns ids of an instance's asset and material, and its settings. Equal keys share a USD prototype."""
     if isinstance(instance, MeshInstance):
         return id(instance.mesh), 0, int(instance.shadow_catcher)
     return id(instance.gaussians), id(instance.material), instance.sh_degree + 4 * instance.shadow_catcher
@@ -187,7 +187,7 @@ def _define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:
 
 
 def _mesh_values(mesh: Mesh) -> dict[str, Any]:
-    """Returns the attributes of a mesh that may have time samples, by name."""
+    """Returns the attributes of a mesh prim that may differ from frame to frame, by name, without its faces."""
     vt = pxr().Vt
     values = {
         "points": vt.Vec3fArray.FromNumpy(mesh.positions),
@@ -246,10 +246,17 @@ class _Samples:
 
     prim: Any
     _last: dict[str, tuple[int, Any, Any]] = field(default_factory=dict[str, "tuple[int, Any, Any]"])
-    """Last sample of each attribute: its frame, its value and the ``mark`` given to `add`."""
+    """By attribute name: frame, value and ``mark`` of the last value that `add` wrote."""
 
     def add(self, frame: int, name: str, value: Any, mark: Any) -> None:
-        """Records the value of an attribute at a frame; an equal ``mark`` means that the value has not changed."""
+        """Records the value of an attribute at a frame.
+
+        Args:
+            frame: The frame, which is also the time code.
+            name: The attribute.
+            value: Its value.
+            mark: Compared with that of the frame before: if equal, the value has not changed and is not written.
+        """
         attribute = self.prim.GetAttribute(name)
         if name == _TRANSFORM_OP and not attribute:
             attribute = pxr().UsdGeom.Xformable(self.prim).AddTransformOp().GetAttr()
@@ -297,9 +304,9 @@ def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animati
 
 
 def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
-    """Yields instances with keys that identify them in other frames.
+    """Yields the instances of an actor in one frame, each with a key that is the same in all frames.
 
-    A key has the instance's kind, a mesh's material, and the index among the instances for which both are equal.
+    A key has the kind, the material of a mesh, and the index among instances with equal kind and material.
     """
     counts: Counter[tuple[str, int]] = Counter()
     for instance in instances:
@@ -309,7 +316,7 @@ def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]
 
 
 def _varying_values(instance: Instance) -> dict[str, Any]:
-    """Returns the attributes of an instance that may have time samples, by name."""
+    """Returns the attributes of a capture's or mesh's prim that may differ from frame to frame, by name."""
     if not isinstance(instance, MeshInstance):
         return particle_values(instance.gaussians)
     mesh, vt = instance.mesh, pxr().Vt
@@ -355,7 +362,7 @@ def _write_package(writer: StageWriter) -> None:
 
 
 def _is_complete(package: Path, count: int) -> bool:
-    """Returns whether a package holds ``count`` undamaged files: the library reports success even on a full disk."""
+    """Returns whether a .usdz package has ``count`` undamaged files; the library does not report a full disk."""
     try:
         with zipfile.ZipFile(package) as written:
             return len(written.infolist()) == count and written.testzip() is None
