@@ -98,10 +98,10 @@ def shadowed(
 ) -> Subject:
     """Darkens captured Gaussians by the shadows of casters that were not part of the capture.
 
-    Each channel is multiplied by ``1 - direct (1 - sum_l w_l T_l)``, with ``w_l`` the fraction of light l in the
-    irradiance that all lights give at the Gaussian, and ``T_l`` the light's transmittance. With one light and
-    ``direct`` 1 the factor is the transmittance, as in Mir et al. (2026, section 3.3). Colours of Gaussians from which
-    no light is blocked keep their bits. Source: docs/method/relighting.md#captured-shadow.
+    Each channel is multiplied by ``1 - direct (1 - sum_l w_l T_l)``, with ``w_l`` the fraction of the unshadowed
+    irradiance of all lights that light l gives at the Gaussian, and ``T_l`` the light's transmittance. With one light
+    and ``direct`` 1 the factor is the transmittance, as in Mir et al. (2026, section 3.3). Colours of Gaussians from
+    which no light is blocked keep their bits. Source: docs/method/relighting.md#captured-shadow.
 
     Args:
         receivers: N Gaussians in world space, or an instance.
@@ -133,7 +133,7 @@ def shadowed(
 
 
 def _light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:
-    """Returns the fraction of each of L lights in the irradiance at each of N Gaussians, per channel, shape (L, N, 3).
+    """Returns the fraction of N Gaussians' unshadowed irradiance that each of L lights gives, shape (L, N, 3).
 
     Every Gaussian counts as facing every light, because normals of captures are unreliable. Fractions are 0 where no
     light arrives.
@@ -152,7 +152,7 @@ def _light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArr
 
 
 def _light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating], direct: float) -> FloatArray:
-    """Returns the factor of each of N Gaussians' colours, per channel, shape (N, 3); exactly 1 if no light is blocked.
+    """Returns ``1 - direct sum_l share_l (1 - T_l)``, the shadow factor of N Gaussians' colours, shape (N, 3).
 
     Args:
         shares: Fraction of each of L lights in the irradiance, shape (L, N, 3).
@@ -167,7 +167,8 @@ def _light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating],
 _log = logging.getLogger("lumisplat")
 
 _SUSPICIOUS_SHADOW = 0.9
-"""Fraction of the receivers in shadow of a light above which a warning reports a likely mistake."""
+"""Fraction of captured Gaussians with a light's transmittance below 0.5, above which a warning reports a likely
+mistake."""
 
 
 def casting_lights(lights: Iterable[Light]) -> tuple[Light, ...]:
@@ -178,7 +179,7 @@ def casting_lights(lights: Iterable[Light]) -> tuple[Light, ...]:
 
 
 class ActorShadows:
-    """Darkens captured Gaussians by the shadows of actors, with one deep shadow map per light.
+    """Darkens captured Gaussians by shadows of moving actors and static meshes: one deep shadow map per light.
 
     Args:
         receivers: Instances of captures, which do not move.
@@ -206,10 +207,11 @@ class ActorShadows:
         self._device, self._progress = device, progress
         self._meshes = MeshesAsGaussians()
         self._maps: list[DeepShadowMap] = []
-        """Shadow map of each light; empty until the first frame with actors."""
+        """Deep shadow map of the actors for each light, rebuilt every frame; empty until the first frame with actors.
+        """
         self._shares = [_light_shares(self._lights, receiver) for receiver in self._receivers]
         self._origin = rendered_frame(Scene(self._receivers))[0].origin
-        """World position relative to which the casters are stored."""
+        """World position of the local coordinates in which actors' Gaussians are stored as float32, shape (3,)."""
         self._means = [receiver.world_means for receiver in self._receivers]
         self._static = np.ones((len(self._lights), sum(map(len, self._means))), dtype=np.float32)
         """Transmittance of each of L lights through the static meshes at all N receiving Gaussians, shape (L, N)."""
@@ -220,7 +222,7 @@ class ActorShadows:
                 self._static[row] = self._build(meshes, light).transmittance_of(self._receivers)
 
     def darken(self, casters: Sequence[PlacedActor]) -> list[SplatInstance]:
-        """Returns the receivers with the shadows of one frame; receivers without any shadow stay the same objects.
+        """Returns the captures with one frame's shadows; captures without any shadow stay the same objects.
 
         Args:
             casters: Actors of the frame; the list may be empty.
@@ -253,7 +255,7 @@ class ActorShadows:
         return transmittances
 
     def _is_far(self, casters: PlacedGaussians, radius: float) -> npt.NDArray[np.bool_]:
-        """Returns which of N receiving Gaussians are beyond ``radius`` from the casters; warns once if all are."""
+        """Returns which captured Gaussians are beyond ``radius`` of the actors' bounding box; warns once if all are."""
         far = distance_from_body(np.concatenate(self._means) - self._origin, casters) > radius
         if far.all() and not self._warned_of_radius:
             self._warned_of_radius = True
@@ -266,7 +268,11 @@ class ActorShadows:
         )
 
     def _warn_of_darkness(self, transmittances: FloatArray) -> None:
-        """Warns once per light that hardly reaches the receivers: it is inside a caster, or the capture is a caster."""
+        """Warns once for each light that is blocked from nearly all captured Gaussians, as by a caster around it.
+
+        Args:
+            transmittances: Transmittance of L lights at N captured Gaussians, shape (L, N).
+        """
         for row in np.flatnonzero((transmittances < 0.5).mean(axis=1) > _SUSPICIOUS_SHADOW).tolist():
             if row not in self._warned_lights:
                 self._warned_lights.add(row)
@@ -289,7 +295,7 @@ class ActorShadows:
 
 
 def _is_inside(point: npt.NDArray[np.float64], casters: PlacedGaussians) -> bool:
-    """Returns whether a point is within the footprint of any Gaussian of the casters."""
+    """Returns whether a point is within `SHADOW_FOOTPRINT` standard deviations of any Gaussian of the casters."""
     offset = (point - casters.means).astype(np.float32)
     near = np.einsum("ij,ij->i", offset, offset) < (SHADOW_FOOTPRINT * casters.scales.max(axis=1)) ** 2
     axes = matrices_from_quaternions(casters.rotations_wxyz[near])

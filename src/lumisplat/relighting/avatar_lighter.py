@@ -30,19 +30,19 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_li
 _log = logging.getLogger("lumisplat")
 
 _DARK = 0.3
-"""Mean radiance at an actor, relative to display white, below which a warning reports that the actor appears dark."""
+"""Mean factor on an actor's captured colours below which a warning reports that the relit actor appears dark."""
 
 
 @dataclass(frozen=True, slots=True)
 class _LightRoles:
-    """Roles of the lights: those of the scene, or those that the user gives instead."""
+    """Which lights shadow the captures, and which illuminate meshes: the scene's, or those that the user gives."""
 
     casting: tuple[Light, ...] | None
-    """Lights that cast the shadows of actors; None: they must be estimated."""
+    """Lights whose light actors block from captures; None: the scene has none, and they must be estimated."""
     on_meshes: tuple[Light, ...]
-    """Lights that illuminate meshes in frames that are lit because of mesh actors."""
+    """Lights that illuminate mesh actors, if the frame does not keep the scene's own lights."""
     uses_scene_lights: bool
-    """True if all frames contain the scene's lights, because something in the scene reflects them."""
+    """True if every frame is lit by the scene's own lights, because a mesh or capture of the scene reflects them."""
 
     @classmethod
     def of(cls, scene: Scene, lights: Sequence[Light] | None) -> _LightRoles:
@@ -109,25 +109,26 @@ class AvatarLighter:
         progress: Progress | None = None,
     ) -> None:
         self.config = AvatarLightingConfig() if config is None else config
-        """Settings."""
+        """Settings of relighting and shadows."""
         check_kind("config", self.config, AvatarLightingConfig)
         _check_scene(scene)
         self.scene = scene
-        """Static scene."""
+        """Static scene, with its captured colours, before any shadow of an actor."""
         self._roles = _LightRoles.of(scene, lights)
         self.lights: tuple[Light, ...] | None = self._roles.casting
         """Lights that cast the shadows of actors; None: not estimated yet."""
         self.estimate: LightEstimate | None = None
-        """Estimated lights; None if lights were given, or none are estimated yet."""
+        """Local lights found by `estimate_lights`; None if the user or the scene gave lights, none was found, or not
+        yet searched."""
         self.sun: SunEstimate | None = None
-        """Estimated sun; None if lights were given or found, or no sun is estimated yet."""
+        """Sun found by `estimate_sun`; None if lights were given or local lights found, or not yet searched."""
         self._device, self._progress = device, progress
         self._probes = ProbeCache(scene, background, device, progress)
         suns = [light for light in self.lights or () if isinstance(light, LightDirectional)]
         self._suns = SunOnActors(scene, suns, device, progress) if suns and self.config.sun_on_actors else None
         self._receivers = _receivers(scene, self._roles.uses_scene_lights)
         self._shadows: ActorShadows | None = None
-        """Computes the shadows on the captures; created when first needed."""
+        """Shadow maps of actors on the captures; None until a frame needs them."""
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
         """Gaussians of the last frame's actors with their normals, by the Python id of the `Gaussians`."""
         self._warned_of_darkness = False
@@ -185,12 +186,12 @@ class AvatarLighter:
         return replace(self.scene, splats=(*sets, *splats), meshes=(*self.scene.meshes, *meshes), lights=lights)
 
     def _uses_scene_lights(self, actors: list[PlacedActor]) -> bool:
-        """Returns whether the frame keeps the scene's lights, because the scene or an actor reflects them."""
+        """Returns whether this frame is lit by the scene's own lights, because the scene or an actor reflects them."""
         reflecting = any(isinstance(actor, SplatInstance) and not emits_capture_only(actor) for actor in actors)
         return self._roles.uses_scene_lights or (reflecting and bool(self.scene.lights))
 
     def _darken(self, casting: list[PlacedActor]) -> list[SplatInstance]:
-        """Returns the scene's captures with the shadows of actors and of the scene's meshes."""
+        """Returns the scene's captures, darkened by the shadows of the actors ``casting`` and of the scene's meshes."""
         sets = list(self.scene.splats)
         if not (self.config.shadows and self._receivers and (casting or self.scene.meshes)):
             return sets
@@ -208,7 +209,7 @@ class AvatarLighter:
         return sets
 
     def _casting_lights(self, actors: Sequence[PlacedActor]) -> tuple[Light, ...]:
-        """Returns the lights that cast shadows; without any, estimates them around the actors."""
+        """Returns the lights whose light actors block from captures; estimates them first if none were given."""
         if self.lights is None:
             position = centroid(actors) if actors else np.mean(self.scene.bounds(), axis=0)
             # The lights give the fraction ``direct`` of the irradiance at the position.
@@ -232,7 +233,7 @@ class AvatarLighter:
         return tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
 
     def _relight(self, actor: SplatInstance) -> SplatInstance:
-        """Returns an actor relit by the probe, and the suns, at its position."""
+        """Returns an actor with colours scaled by the probe at its position, and by suns missing in the probe."""
         if not self.config.relight:
             return actor
         # Estimating normals is expensive, and those of a moving actor stay the same.
@@ -254,7 +255,7 @@ class AvatarLighter:
         self._normals = {key: held for key, held in self._normals.items() if key in present}
 
     def _warn_of_darkness(self, mean: float) -> None:
-        """Warns once if the mean radiance at the actors makes them much darker than captured."""
+        """Warns once if ``mean``, the mean light factor of an actor, times ``gamma`` is below `_DARK`."""
         if not self._warned_of_darkness and mean * self.config.transfer.gamma < _DARK:
             self._warned_of_darkness = True
             gamma = self.config.transfer.gamma
@@ -270,7 +271,7 @@ class AvatarLighter:
             _log.warning("%s", message)
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
-        """Returns the lights for mesh actors, and an environment for the rest of the light at the meshes' position.
+        """Returns the lights of mesh actors, and an environment from the probe at their centroid for indirect light.
 
         None of these lights casts shadows by rays: an estimated light is inside its own Gaussians, and the walls from
         which the probe's light comes would block the environment.
@@ -289,7 +290,7 @@ def _check_scene(scene: object) -> None:
 
 
 def _receivers(scene: Scene, is_lit: bool) -> list[int]:
-    """Returns indices of the captures that shadow maps darken; captures with a material get ray-traced shadows."""
+    """Returns indices of the captures that shadow maps darken; if ``is_lit``, those without a reflecting material."""
     rows = [row for row, instance in enumerate(scene.splats) if not is_lit or emits_capture_only(instance)]
     others = len(scene.splats) - len(rows)
     if others:

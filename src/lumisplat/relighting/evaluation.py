@@ -36,26 +36,27 @@ from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.scene import Scene, SplatInstance
 
 INSIDE = 0.5
-"""Smallest coverage of a pixel by the object for the pixel to be compared, as for the masks of images."""
+"""Smallest fraction of a pixel that the object must cover for the pixel to be compared with ground truth."""
 
 LAYERS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
-"""EXR channels of each ground-truth layer, by the layer's name."""
+"""EXR channels of each material layer that has ground truth, by the layer's name."""
 LIGHTS = {".exr", ".toml"}
-"""Extensions of light files: an environment image, or a scene file with lights."""
+"""File extensions of lights in a data set: ``.exr`` is an environment image, ``.toml`` a scene file with local lights.
+"""
 _MAKER = "tools/make_relightable_set.py makes complete data sets"
 
 
 @dataclass(frozen=True, slots=True)
 class RelightableSet:
-    """Folder with ground truth of materials and light. Files are read on demand, and each error names its file."""
+    """Folder of a data set with ground-truth materials and relit images. Files are read on demand."""
 
     folder: Path
     views: tuple[TrainingImage, ...]
-    """Held-out images, blended over black."""
+    """Held-out images, which no training used, with their cameras; alpha is blended over black."""
     layers: tuple[str, ...]
-    """Names of those `LAYERS` for which the folder has ground truth."""
+    """Names of the material layers (keys of `LAYERS`) for which the folder has ground-truth images."""
     unseen: tuple[str, ...]
-    """Names of the lights in the subfolder ``relit``: lights under which no training image was made."""
+    """Names of the lights of subfolder ``relit``, under which no training image was made."""
     specular: float
     """Strength of the surfaces' specular highlights; 0 if the surfaces are Lambertian."""
 
@@ -80,7 +81,7 @@ class RelightableSet:
         return cls(root, views, layers, unseen, _specular(root / "set.json"))
 
     def region(self, view: TrainingImage) -> Flags:
-        """Returns a mask of the pixels of which the object covers at least half, (H, W); all pixels without alpha.
+        """Returns a mask of the pixels that the object covers by at least half, (H, W); all, for images without alpha.
 
         Raises:
             FormatError: The object covers no pixel.
@@ -150,7 +151,7 @@ class RelightableSet:
 
 
 def _refuse(path: PathLike) -> NoReturn:
-    """Raises an error for a file to which a scene file of lights refers: lights need no other files."""
+    """Raises an error: a scene file of lights refers to the file ``path``, but may contain only lights."""
     raise FormatError(path, "is named in a light file of a data set, expected only [[lights]] and [environment]")
 
 
@@ -263,7 +264,10 @@ def evaluate_materials(
 def _relighting(
     config: RenderConfig | None, samples: int | None, gaussians: Gaussians, *, has_lights: bool
 ) -> RenderConfig:
-    """Returns the settings of relit renders."""
+    """Returns the render settings of relit images: ``config``, or a default, adapted to the comparison.
+
+    Without a ``config``, local lights (``has_lights``) are path-traced; environments use ``Pipeline.HYBRID``.
+    """
     settings = config or RenderConfig(pipeline=Pipeline.PATH if has_lights else Pipeline.HYBRID)
     if samples is None and settings.time_limit is None and settings.noise is None:
         samples = settings.samples or RELIT_SAMPLES
@@ -284,7 +288,7 @@ def _panorama(environment: npt.ArrayLike) -> FloatArray:
 
 
 def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tuple[float, list[str]]:
-    """Returns the PSNR of the estimated environment in dB, and a remark if it was not compared."""
+    """Returns the PSNR of the estimated environment ``found`` in dB, NaN if it cannot be compared, and remarks why."""
     if found is None:
         return math.nan, []
     true = truth.environment()
@@ -296,7 +300,7 @@ def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tupl
 def _compared_views(
     truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress
 ) -> Iterator[ComparedView]:
-    """Yields the views, each with the layers that both the capture and the ground truth have."""
+    """Yields for each held-out view the rendered and true layers that both capture and data set have."""
     layers = LayerRenderer.of(gaussians, device)
     for number, view in enumerate(truth.views):
         report("comparing layers", number / len(truth.views))
@@ -309,7 +313,7 @@ def _compared_views(
 def _relit(
     truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress
 ) -> list[dict[str, Pair]]:
-    """Renders the capture under each unseen light; returns, per view, pairs of rendered and ground-truth images."""
+    """Renders the capture under each unseen light; returns for each view (render, ground truth) by the light's name."""
     pictures: list[dict[str, Pair]] = [{} for _ in truth.views]
     for number, name in enumerate(truth.unseen):
         scene = relit_scene(gaussians, truth.lights(name), scale, truth.specular)
@@ -322,7 +326,7 @@ def _relit(
 
 
 def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
-    """Yields remarks on layers without ground truth, and on layers that the capture does not store."""
+    """Yields a sentence for each layer that the data set or the capture lacks, so that it is not compared."""
     for name in ("albedo", "normal", "roughness"):
         if name not in truth.layers:
             yield f"no ground truth for {name}: {truth.folder / 'truth' / name} is missing"
@@ -343,10 +347,10 @@ def _mean(values: Sequence[float]) -> float:
 
 
 class RelitFigures(NamedTuple):
-    """Image metrics of relit images against ground truth, over the object."""
+    """Image metrics of renders under one unseen light against ground truth, over the pixels of the object."""
 
     psnr: float
-    """Peak signal-to-noise ratio, dB."""
+    """Peak signal-to-noise ratio of display values over the object, dB."""
     ssim: float
     """Structural similarity, at most 1; NaN if images are too small or scikit-image is not installed."""
     flip: float
@@ -355,27 +359,27 @@ class RelitFigures(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialView:
-    """Metrics and images of one held-out view. Metrics are NaN where there is nothing to compare."""
+    """Metrics and images of one held-out view; metrics are NaN where capture or ground truth has no such layer."""
 
     name: str
     coverage: float
     """Fraction of the image's pixels that are compared, 0..1: those of which the object covers at least half."""
     albedo_psnr: float
-    """PSNR of the sRGB-encoded albedo after scaling by one factor per channel, dB."""
+    """PSNR, dB, of the sRGB-encoded albedo after scaling each channel by the factor of all views, `albedo_scale`."""
     albedo_psnr_unscaled: float
-    """PSNR of the sRGB-encoded albedo without scaling, dB."""
+    """PSNR, dB, of the sRGB-encoded albedo as estimated, without the scale to ground truth."""
     albedo_psnr_linear: float
-    """PSNR of the linear albedo after scaling, dB."""
+    """PSNR, dB, of the linear albedo after scaling each channel by the factor of all views, `albedo_scale`."""
     normal_mean: float
-    """Mean angle between normals, degrees."""
+    """Mean angle between estimated and true normals over the view's compared pixels, degrees."""
     normal_median: float
-    """Median angle between normals, degrees."""
+    """Median angle between estimated and true normals over the view's compared pixels, degrees."""
     roughness_rmse: float
-    """Root mean square error of perceptual roughness, 0..1."""
+    """Root mean square error of perceptual roughness over the view's compared pixels, 0..1."""
     relit: Mapping[str, RelitFigures]
-    """Image metrics by the name of the unseen light."""
+    """Image metrics of this view under each unseen light, by the light's name."""
     region: Flags
-    """Mask of the compared pixels, shape (H, W)."""
+    """Mask of the pixels that are compared: the object covers at least half of each, shape (H, W)."""
     pictures: Mapping[str, tuple[FloatArray, FloatArray]]
     """Estimated and ground-truth images, display colours, shape (H, W, 3) each, by ``albedo``, ``normal``,
     ``roughness`` and ``relit/NAME`` for each unseen light."""
@@ -394,15 +398,15 @@ class MaterialEvaluation:
     albedo_psnr: float
     """PSNR of the sRGB-encoded albedo after scaling by ``albedo_scale``, dB."""
     albedo_psnr_unscaled: float
-    """PSNR of the sRGB-encoded albedo without scaling, dB."""
+    """PSNR, dB, of the sRGB-encoded albedo as estimated, without ``albedo_scale``."""
     albedo_psnr_linear: float
     """PSNR of the linear albedo after scaling by ``albedo_scale``, dB."""
     normal_mean: float
-    """Mean angle between normals, degrees."""
+    """Mean angle between estimated and true normals over the compared pixels of all views, degrees."""
     normal_median: float
-    """Median angle between normals, degrees."""
+    """Median angle between estimated and true normals over the compared pixels of all views, degrees."""
     roughness_rmse: float
-    """Root mean square error of perceptual roughness, 0..1."""
+    """Root mean square error of perceptual roughness over the compared pixels of all views, 0..1."""
     environment_psnr: float
     """PSNR of the environment image after scaling by one factor per channel, dB (docs/guide/materials.md#figures)."""
     relit: Mapping[str, RelitFigures]
@@ -421,23 +425,23 @@ class MaterialEvaluation:
 
 
 Pair = tuple[FloatArray, FloatArray]
-"""Estimated image and ground-truth image."""
+"""An image of the estimate and the same image of the ground truth."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedView:
-    """Layers and relit images of a view: pairs of estimate and ground truth, C channels each, shape (H, W, C)."""
+    """One held-out view: its layers and relit images as pairs (estimate, ground truth), shape (H, W, C) each."""
 
     name: str
     region: Flags
-    """Mask of the compared pixels, shape (H, W)."""
+    """Mask of the pixels that are compared: the object covers at least half of each, shape (H, W)."""
     layers: Mapping[str, Pair]
-    """Layers that both capture and ground truth have, by name."""
+    """(Estimate, ground truth) of each layer, such as ``albedo``, that both capture and data set have."""
     relit: Mapping[str, Pair]
-    """Relit images, display colours over black, by the name of the light."""
+    """(Render, ground truth) under each unseen light, display colours over black, by the light's name."""
 
     def counted(self, layer: str) -> tuple[Doubles, Doubles]:
-        """Returns the N compared pixels of a layer with C channels, shape (N, C) each; N is 0 without the layer."""
+        """Returns estimate and ground truth of a layer at N compared pixels, (N, C) each; N is 0 without the layer."""
         if layer not in self.layers:
             return np.zeros((0, 3)), np.zeros((0, 3))
         found, truth = self.layers[layer]
@@ -445,31 +449,31 @@ class ComparedView:
 
 
 def albedo_scale(views: Sequence[ComparedView]) -> Channels:
-    """Returns the factor per channel that scales the albedo of all views to the ground truth; 1 without an albedo."""
+    """Returns for each channel the median ratio of true to estimated albedo over all views; 1 without an albedo."""
     pairs = [view.counted("albedo") for view in views]
     found, truth = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
     return channel_scale(found, truth) if len(found) else (1.0, 1.0, 1.0)
 
 
 def normal_figures(views: Sequence[ComparedView]) -> tuple[float, float]:
-    """Returns mean and median angle between normals over the pixels of all views, degrees."""
+    """Returns mean and median angle between estimated and true normals over the pixels of all views, degrees."""
     errors = np.concatenate([normal_errors(*view.counted("normal")) for view in views])
     return (float(errors.mean()), float(np.median(errors))) if len(errors) else (math.nan, math.nan)
 
 
 def roughness_rmse(views: Sequence[ComparedView]) -> float:
-    """Returns the root mean square error of roughness over the pixels of all views."""
+    """Returns the root mean square error of estimated roughness over the compared pixels of all views, 0..1."""
     pairs = [view.counted("roughness") for view in views]
     errors = np.concatenate([(found - truth)[:, 0] for found, truth in pairs])
     return float(np.sqrt(np.mean(errors**2))) if len(errors) else math.nan
 
 
 def measured(view: ComparedView, scale: Channels) -> tuple[MaterialView, list[str]]:
-    """Computes the metrics and images of a view, and remarks on metrics that are missing.
+    """Computes the metrics and images of a view; returns them, and a sentence for each metric that is missing.
 
     Args:
         view: The view, with relit images of the scaled albedo.
-        scale: Factor per channel of the albedo.
+        scale: Factor of each channel of the estimated albedo.
     """
     problems: list[str] = []
     mean, median = normal_figures([view])
@@ -518,7 +522,7 @@ def _relit_figures(pair: Pair, region: Flags, problems: list[str]) -> RelitFigur
 
 
 def _display_images(view: ComparedView, scale: Channels) -> dict[str, Pair]:
-    """Returns display images of layers and relit images, black outside the compared pixels."""
+    """Returns the view's (estimate, truth) pairs as display images, black outside the compared pixels, by name."""
     images: dict[str, Pair] = {}
     if "albedo" in view.layers:
         images["albedo"] = _albedo_images(view, scale)
@@ -582,13 +586,13 @@ class LayerRenderer:
 
 
 def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[float, ...], specular: float) -> Scene:
-    """Returns a scene of the capture under other lights, with its albedo scaled and clipped.
+    """Returns a scene of the capture under ``lights``, with its albedo multiplied by ``scale`` and clipped to 0..1.
 
     Args:
         gaussians: Gaussians with an albedo.
         lights: All lights of the scene.
         scale: Factor per channel of the albedo.
-        specular: Strength of the highlights.
+        specular: `MaterialPbr.specular` of the capture's material: strength of highlights, 0: Lambertian.
     """
     assert gaussians.albedo is not None
     scaled = replace(gaussians, albedo=np.clip(gaussians.albedo * np.array(scale), 0.0, 1.0))

@@ -42,8 +42,8 @@ PROBE_DEGREE_MAX = 8
 """
 
 PROBE_RIDGE = 1e-9
-"""Ridge of the SH fit, whose weights sum to 4 pi. The ridge is below the rounding of float32, so that radiance that SH
-can represent is exact, and large enough to give a solution where directions are too few."""
+"""Weight of the squared coefficients in the SH fit, where sample weights sum to 4 pi: below the rounding of float32,
+so that radiance that SH can represent is exact, and large enough to give a solution where directions are too few."""
 
 PROBE_IMAGE_ROWS = 64
 """Height of a probe's latitude-longitude image, pixels: several pixels per shortest wavelength of degree 8."""
@@ -257,11 +257,12 @@ class EnvironmentProbe:
         return read_only_view(_without_ringing(radiance))
 
     def light(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> LightEnvironment:
-        """Returns an environment light with the probe's radiance; cameras see it only in reflections.
+        """Returns an environment light with the probe's radiance that is no background: only reflections show it.
 
         Args:
             height: Height of the light's image, pixels, 1 to 8192.
-            rotation_wxyz: Rotation from image to world, as for `image`; the light is the same for all rotations.
+            rotation_wxyz: Rotation from image to world, as for `image`; it only chooses the image's axes, not the
+                light.
 
         Raises:
             ConfigError: ``height`` is out of its range.
@@ -302,7 +303,7 @@ class EnvironmentProbe:
 
 
 def _without_ringing(image: FloatArray) -> FloatArray:
-    """Returns a latitude-longitude image without negative values and with the same mean over the sphere."""
+    """Returns a latitude-longitude image with negative values set to 0, the rest scaled to keep the sphere's mean."""
     shares = panorama_solid_angles(*image.shape[:2])[:, None, None]
     cut = np.maximum(image, np.float32(0.0))
     before, after = (np.sum(shares * values, axis=(0, 1)) for values in (image, cut))
@@ -311,7 +312,7 @@ def _without_ringing(image: FloatArray) -> FloatArray:
 
 
 def _matrix(light: LightEnvironment) -> Doubles:
-    """Returns the rotation from environment to world, shape (3, 3)."""
+    """Returns the rotation from the axes of an environment's image to the world, shape (3, 3)."""
     return matrices_from_quaternions(np.array([light.rotation_wxyz]))[0]
 
 
@@ -363,11 +364,11 @@ _PROBES_CACHED = 64
 
 
 class ProbeCache:
-    """Captures probes of a scene, and caches them by position for actors that do not move.
+    """Captures probes of a scene, and keeps the last `_PROBES_CACHED` by position, for actors that do not move.
 
     Args:
         scene: The scene without actors.
-        background: Background, display-referred sRGB, 0..1 each.
+        background: Background of uncovered directions, display-referred sRGB, 0..1 each.
         device: As for `create_renderer`.
         progress: Called with a label and a fraction 0..1, while kernels compile.
     """

@@ -1,4 +1,4 @@
-"""Relights Gaussians by an environment probe, with a factor per channel and normal, and by suns missing in the probe.
+"""Relights Gaussians: scales their colours by an environment probe, and adds suns that the probe does not contain.
 
 Sources: docs/method/relighting.md#transfer and #sun.
 """
@@ -38,8 +38,8 @@ _NORMALS_AT_ONCE = 1024
 """Number of normals whose lobes are in memory at once: 2 MB with 16 grid rows, which fits the CPU cache."""
 
 _NO_LIGHT = 1e-12
-"""Epsilon, sr, added to the normalisation of a lobe, against division by zero
-(docs/method/relighting.md#transfer-scale). No lobe that the grid resolves is nearly as small."""
+"""Solid angle, sr, added to a lobe's integral before division, so that it is not 0
+(docs/method/relighting.md#transfer-scale); every lobe that the grid resolves is far larger."""
 
 
 class _Grid(NamedTuple):
@@ -150,11 +150,11 @@ def _grid(rows: int) -> _Grid:
 _log = logging.getLogger("lumisplat")
 
 _BLOCKED_BELOW = 1e-3
-"""Visibility of a sun below which a warning reports that the scene blocks it."""
+"""Mean transmittance towards a sun below which a warning reports that the scene hides the sun from an actor."""
 
 
 class SunOnActors:
-    """Computes the light of suns on actors, without the part that the actors' probes already contain.
+    """Computes the irradiance from suns on actors, less the part that the probe at an actor already contains.
 
     Args:
         scene: The scene without actors, which may block the suns.
@@ -167,11 +167,11 @@ class SunOnActors:
         self._scene, self._suns = scene, tuple(suns)
         self._device, self._progress = device, progress
         self._renderer: Renderer | None = None
-        """Traces shadow rays to the suns; created for the first actor."""
+        """Traces shadow rays to the suns; None until the first actor is lit."""
         self._has_warned = False
 
     def scales(self, actor: SplatInstance, probe: EnvironmentProbe, normals: FloatArray) -> FloatArray:
-        """Returns the light of the suns on N Gaussians of an actor, without the part that the probe contains.
+        """Returns the factors that suns add on N Gaussians of an actor, less the part that the probe contains.
 
         Args:
             actor: The actor.
@@ -179,8 +179,7 @@ class SunOnActors:
             normals: Unit normals, world space, shape (N, 3).
 
         Returns:
-            Irradiance relative to that from constant radiance 1, to be added to the factors of `light_scales`, shape
-            (N, 3).
+            Irradiance over pi, to be added to the factors of `light_scales`, shape (N, 3).
         """
         total = np.zeros(normals.shape, np.float32)
         for sun in self._suns:
@@ -204,7 +203,7 @@ class SunOnActors:
         return float(self._renderer.transmittance(self._scene, starts, directions, sun.shadow_distance).mean())
 
     def _warn_if_blocked(self, sun: LightDirectional, visibility: float) -> None:
-        """Warns once if the scene blocks a sun from an actor, as Gaussians of a captured sky would."""
+        """Warns once if ``visibility`` of a sun is nearly 0: the scene, perhaps a captured sky, blocks it."""
         if visibility < _BLOCKED_BELOW and not self._has_warned:
             self._has_warned = True
             name = f"light '{sun.name}'" if sun.name else "the sun"
@@ -213,11 +212,11 @@ class SunOnActors:
 
 
 def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> Doubles:
-    """Returns the irradiance from a sun on a surface facing it, minus the part that the probe contains, shape (3,).
+    """Returns the linear irradiance that a sun adds, on a surface facing it, to what the probe contains, shape (3,).
 
-    The result is linear Rec.709. The probe's part is at most the surface's irradiance from the probe that exceeds the
-    irradiance from the probe's mean radiance. The excess may also come from a captured lamp or the bright sky around
-    the sun.
+    In luminance, ``E_sun - min(E_sun, max(E_probe - pi L_mean, 0))``, with E_probe the probe's irradiance on the
+    surface and L_mean its mean radiance; all channels are scaled alike. The excess of the probe may also come from a
+    captured lamp or the bright sky around the sun.
     """
     towards = -np.array([sun.direction])
     weights = np.array(LUMINANCE)

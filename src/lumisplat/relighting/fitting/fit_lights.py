@@ -37,8 +37,8 @@ COARSE_SAMPLES = 0.25
 """Samples per pixel in the search for light positions, as a fraction of the samples in the fit."""
 
 LATTICE_SIDES = (3, 4)
-"""Sizes of the lattices of trial positions, searched one after the other: n means n^3 positions in the box of the
-scene. With only one of the two lattices, one of three lights was placed wrongly from one image."""
+"""Lattices of trial light positions, searched one after the other: n means n^3 positions in the scene's box. With only
+one of the two, one of three lights was placed wrongly from one image."""
 
 STEPS_EXPECTED = 12
 """Number of Gauss-Newton steps that a search is expected to take, for the progress bar. Searches near the minimum took
@@ -56,10 +56,10 @@ _SEARCHING, _RENDERING, _REFINING, _ERRORS = (
     "refining",
     "estimating errors",
 )
-"""Stages of the fit, as the progress report names them. Rendering takes nearly all of their time."""
+"""Labels of the stages of a fit in progress reports; rendering takes nearly all of the time."""
 _COST_RATIO_MAX = 0.9
-"""Largest ratio of costs at which a light position found from the lattice replaces the one found near the given
-position."""
+"""Lights that a search from a lattice of positions finds replace the best ones so far if their cost is below this
+times the best cost."""
 
 
 def fit_lights(
@@ -203,7 +203,7 @@ def _costs(task: FitTask, tiny: float) -> dict[str, float]:
 
 
 def _coarse_search(fitter: PowerFitter) -> tuple[Scene, Doubles]:
-    """Searches at low resolution from several starts; returns the scene with the best lights, and the exposures."""
+    """Searches at low resolution from the given lights and from lattices; returns best scene and exposure factors."""
     best = search(fitter, fitter.begin(fitter.task.scene, fitter.task.gains))
     for side in LATTICE_SIDES:
         scene = lattice_search(fitter, best, side)

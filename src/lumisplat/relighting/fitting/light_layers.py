@@ -1,4 +1,4 @@
-"""Renders the light that each single light contributes to images; indirect light is denoised over surfaces."""
+"""Renders the radiance that each single light adds to images; noise of indirect light is averaged over surfaces."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CLIPPED_ABOVE = 0.995
 _ASPECT_ERROR = 0.51
 """Largest difference between the height of an image and the height that the camera's aspect ratio gives, pixels."""
 _WHOLE = 1.0 - 1e-4
-"""Smallest fraction of the covered pixels that must be fitted for a downscaled pixel to be fitted: all, less a
+"""Smallest fraction of a downscaled pixel's area that fitted pixels must cover for it to be fitted: 1, less a
 tolerance for rounding."""
 
 
@@ -39,7 +39,7 @@ class FitImage:
     """An image to fit, in linear light, with its camera and a mask of the pixels that count."""
 
     camera: Camera
-    """Camera scaled to the size of the image."""
+    """Camera of the image, scaled to the image's width and height."""
     light: Doubles
     """Linear Rec.709 radiance times exposure, shape (H, W, 3)."""
     counts: Flags
@@ -47,9 +47,9 @@ class FitImage:
     label: str
     """Name of the image in messages."""
     clipped: int
-    """Number of pixels left out because a channel is black or white, at an end of its range."""
+    """Number of pixels that are not fitted because a channel is black (0) or white (above `CLIPPED_ABOVE`)."""
     masked: int
-    """Number of pixels that the mask leaves out."""
+    """Number of pixels that are not fitted because the user's mask excludes them."""
     full_size: int
     """Number of pixels of the image before any downscaling."""
 
@@ -212,41 +212,43 @@ FIT_SAMPLES_OF_PATHS = 64
 few thousandths."""
 
 SMOOTH_REACH = 1.0 / 32.0
-"""Half the width of the window over which indirect light is averaged, as a fraction of the render's longer side, so
-that the window covers as much of the scene at any resolution. Twice the width gave an error of 2.8 % instead of 1.4 %
-for a light in a room with bounces, at 64 pixels."""
+"""Half the width of the square of pixels over which indirect light is averaged, as a fraction of the render's longer
+side. Twice the width gave an error of 2.8 % instead of 1.4 % for a light in a room with bounces, at 64 pixels."""
 
 SMOOTH_COSINE_MIN = 0.9
 """Smallest cosine between the normals of two pixels that count as showing one surface."""
 
 SMOOTH_PLANE = 0.2
-"""Largest distance of a neighbour from a pixel's tangent plane, relative to the distance between the two points, at
-which both count as one surface."""
+"""Two pixels show one surface only if the neighbour's distance from the pixel's tangent plane is at most this times
+the distance between their points."""
 
 SMOOTH_ROUGHNESS_MIN = 0.3
-"""Roughness below which reflected light is not averaged, because reflections may have sharp edges."""
+"""Smallest roughness of materials whose indirect light is averaged over neighbouring pixels: mirror images have sharp
+edges."""
 
 SMOOTH_ALBEDO_MIN = 0.02
-"""Lower bound of the albedo by which light is divided before averaging; the division keeps textures sharp."""
+"""Lower bound of the albedo by which indirect light is divided before averaging, and multiplied after, to keep
+textures sharp."""
 
 Layer = Callable[[Scene, Frame], Doubles]
-"""Function that extracts a layer, such as the radiance due to one light, from a frame: linear, shape (H, W, 3)."""
+"""Function that returns the linear radiance of a scene's rendered frame, such as that due to one light, shape (H, W,
+3)."""
 _Instances = tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]]
 _PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
 _DISABLED_LIGHT = LightPoint((0.0, 0.0, 0.0), enabled=False)
 """Disabled light for scenes without lights, so that the renderer adds no headlight."""
 _UNLIT_WEIGHT_MAX = 1e-3
-"""Largest fraction of a fitted pixel that unlit captures or background may cover."""
+"""Largest fraction of a pixel that unlit captures and background may cover if the pixel is fitted."""
 
 
 class LightLayers:
-    """Renders single lights into all images, which have N pixels together.
+    """Renders what single lights add to the images of a fit, whose pixels are joined into one list of N.
 
     Args:
         config: How light is rendered; None: path tracing.
         device: As for ``create_renderer``.
-        share: Fraction of the samples per pixel to take.
-        rendered: Called after each light that was rendered.
+        share: Fraction of the settings' samples per pixel that renders use, at most 1.
+        rendered: Called after each render of all images, for the progress bar.
     """
 
     def __init__(
@@ -271,24 +273,25 @@ class LightLayers:
         self._device, self._rendered = device, rendered
         self._renderers: list[Renderer] = []
         self._smooth: dict[tuple[object, ...], tuple[_Instances, SurfaceAverage]] = {}
-        """Averaging windows by camera, each with the instances of the scene for which it was made."""
+        """Cached neighbourhoods for averaging, by the camera's size and pose, each with the scene's instances at that
+        time."""
         self._is_random = self.is_path or base.raster.strategy is RasterStrategy.STOCHASTIC
 
     def lit_pixels(self, scene: Scene, images: Sequence[FitImage]) -> Flags:
-        """Returns a mask of the pixels that show nothing but surfaces which reflect light, shape (N,)."""
+        """Returns which of N pixels show only surfaces that reflect light, no unlit capture or background, (N,)."""
         frames = self._frames(0, _with_lights(scene, ()), images)
         weights = [np.asarray(frame.captured_weight).ravel() for frame in frames]
         return np.concatenate(weights) < _UNLIT_WEIGHT_MAX
 
     def render(self, scene: Scene, lights: Sequence[Light], images: Sequence[FitImage]) -> Doubles:
-        """Renders the radiance of a scene under ``lights`` only, including emission, linear, shape (2, N, 3).
+        """Renders emission plus the light of ``lights`` alone at the N pixels of all images, linear, shape (2, N, 3).
 
-        The first axis holds two renders with independent random numbers.
+        The first axis holds two renders with independent random numbers, or one deterministic render twice.
         """
         return self._both(_with_lights(scene, lights), images, self._all_light)
 
     def render_light(self, scene: Scene, light: Light, images: Sequence[FitImage], fixed: Doubles) -> Doubles:
-        """Renders the radiance that one light adds to a scene.
+        """Renders the radiance that one light alone adds at the N pixels of all images.
 
         Args:
             scene: The scene.
@@ -297,7 +300,7 @@ class LightLayers:
             fixed: Render of the scene without lights, shape (2, N, 3).
 
         Returns:
-            Two renders with independent random numbers, linear, shape (2, N, 3).
+            Two renders with independent random numbers, or one deterministic one twice, linear, shape (2, N, 3).
         """
         lit = _with_lights(scene, (light,))
         if self.is_path:  # the light's own layer; a difference of renders would add noise
@@ -349,7 +352,7 @@ class LightLayers:
 
 
 def unit(light: Light) -> Light:
-    """Returns the light with a power of 1 in each channel."""
+    """Returns the light with a colour of (1, 1, 1) and an intensity of 1."""
     return replace(light, color=(1.0, 1.0, 1.0), intensity=1.0)
 
 
@@ -359,7 +362,7 @@ def power_of(light: Light) -> Doubles:
 
 
 def with_power(light: Light, power: Doubles) -> Light:
-    """Returns the light with another power: the brightest channel becomes the intensity. Power 0 keeps the colour."""
+    """Returns the light with colour times intensity ``power``, brightest channel of the colour 1; 0 keeps it."""
     brightest = float(power.max())
     if brightest <= 0.0:
         return replace(light, intensity=0.0)
@@ -375,12 +378,12 @@ _Number = TypeVar("_Number", bound=np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceAverage:
-    """Averaging windows of one view: for each pixel, the neighbours that are on the pixel's surface."""
+    """For each pixel of a view, the nearby pixels on the same surface, over which indirect light is averaged."""
 
     albedo: Doubles
-    """Albedo by which light is divided before averaging, shape (H, W, 3)."""
+    """Albedo, at least `SMOOTH_ALBEDO_MIN`, by which light is divided before averaging, shape (H, W, 3)."""
     offsets: tuple[tuple[int, int], ...]
-    """Row and column offsets of the neighbours in the window."""
+    """Row and column offsets of the D neighbours of a pixel, itself included."""
     same_surface: Flags
     """True where the neighbour at each of D ``offsets`` is on the pixel's surface, shape (D, H, W)."""
 
@@ -408,7 +411,7 @@ class SurfaceAverage:
         return cls(albedo, offsets, same_surface)
 
     def averaged(self, light: Doubles) -> Doubles:
-        """Averages light of the view, shape (H, W, 3), over the window of each pixel; textures stay sharp."""
+        """Averages light, (H, W, 3), over the neighbours on each pixel's surface, without blurring the albedo."""
         arriving = light / self.albedo
         total = np.zeros_like(arriving)
         for offset, same_surface in zip(self.offsets, self.same_surface, strict=True):
@@ -417,7 +420,7 @@ class SurfaceAverage:
 
 
 def _matt_surfaces(scene: Scene, instances: IntArray) -> IntArray:
-    """Returns the index of the instance that each pixel shows; -1 for background and glossy surfaces."""
+    """Returns the index of each pixel's instance; -1 for background and for roughness below `SMOOTH_ROUGHNESS_MIN`."""
     materials = [instance.material for instance in scene.splats] + [item.mesh.material for item in scene.meshes]
     matt = np.array([*(_is_matt(material) for material in materials), False])
     return np.where(matt[instances], instances, -1).astype(np.int32)
@@ -428,12 +431,12 @@ def _is_matt(material: Material | None) -> bool:
 
 
 def _shifted(image: npt.NDArray[_Number], offset: tuple[int, int]) -> npt.NDArray[_Number]:
-    """Returns for each pixel the value at an offset from it; indices wrap around at the borders."""
+    """Returns for each pixel the value ``offset`` (rows, columns) away; offsets wrap around at the image's borders."""
     return np.roll(image, (-offset[0], -offset[1]), axis=(0, 1))
 
 
 def _inside_image(image: IntArray, offset: tuple[int, int]) -> Flags:
-    """Returns for each pixel whether the pixel at an offset from it is inside the image."""
+    """Returns for each pixel whether the pixel ``offset`` (rows, columns) away is inside the image."""
     height, width = image.shape
     inside = np.zeros((height, width), np.bool_)
     down, across = offset

@@ -32,25 +32,25 @@ Kind = Literal["position", "direction", "radius", "inner", "outer"]
 _ANGLE_GAP = 1e-3
 """Smallest difference between the outer and the inner cone angle of a spot, radians."""
 _SMALLEST = 1e-3
-"""Smallest radius of a light with a fitted radius, relative to the size of the scene."""
+"""Lower bound of fitted radii of lights, relative to the size of the scene."""
 
 
 @dataclass(frozen=True, slots=True)
 class LightParameter:
-    """One scalar parameter of one light on which renders depend nonlinearly."""
+    """One scalar of one light that Gauss-Newton searches: a coordinate, a tilt of the direction, a radius, an angle."""
 
     light: int
     """Index of the light in the scene."""
     kind: Kind
     axis: int = 0
-    """Axis of a position (0, 1, 2: x, y, z), or tangent of a direction (0 or 1)."""
+    """For a position 0, 1, 2: x, y, z; for a direction 0 or 1: which of its two tangents; else 0."""
     step: float = 1.0
-    """Step of the central difference with respect to the parameter."""
+    """Step to either side in central differences by the parameter: scene units, for directions and angles radians."""
     least: float = 0.0
-    """Lower bound of the parameter if it is a radius, scene units."""
+    """Smallest radius, scene units, if the parameter is a radius; 0 for others, which do not use it."""
 
     def applied(self, light: Light, amount: float) -> Light:
-        """Returns the light with ``amount`` added to the parameter, within the parameter's bounds."""
+        """Returns the light with ``amount`` added to the parameter; radii and angles stay within their bounds."""
         if self.kind == "position":
             assert isinstance(light, PlacedLight)
             return replace(light, position=np.add(light.position, amount * np.eye(3)[self.axis]))
@@ -72,7 +72,7 @@ class LightParameter:
 def light_parameters_of(
     number: int, light: Light, size: float, *, positions: bool, radii: bool, angles: bool
 ) -> list[LightParameter]:
-    """Returns the parameters of a light that the options ask to fit.
+    """Returns the positions, directions, radii and angles of a light that are searched by Gauss-Newton.
 
     Args:
         number: Index of the light in the scene.
@@ -104,23 +104,23 @@ def _tangents(along: Doubles) -> tuple[Doubles, Doubles]:
 
 
 _DARK = 1e-6
-"""Linear colour up to which a channel counts as black: factors do not change a black channel."""
+"""Linear mean colour of a capture up to which a channel is black, so that no factor can change it."""
 _WHITE = 1.0 - 1e-4
-"""Linear colour from which a channel of a capture counts as white."""
+"""Linear colour of a Gaussian from which a channel counts as white, so that no factor can make it brighter."""
 
 
 @dataclass(frozen=True, slots=True)
 class BaseColor:
-    """A base colour to fit: of a material of meshes, or of a capture, whose Gaussians share a factor per channel."""
+    """One base colour to fit: that of a material of meshes, or of a capture, whose Gaussians share a factor."""
 
     name: str
     """Name of the material, or else of the first mesh with it; for a capture, name of its instance."""
     meshes: tuple[int, ...] = ()
-    """Indices of the mesh instances with this material."""
+    """Indices of the scene's mesh instances with this material; empty for a capture."""
     capture: int | None = None
     """Index of the splat instance; None for a material of meshes."""
     given: Gaussians | None = None
-    """Gaussians of the capture before the fit; None for a material of meshes."""
+    """Gaussians of the capture before the fit, to which factors apply; None for a material of meshes."""
 
 
 def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor]:
@@ -157,7 +157,7 @@ def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor
 
 
 def share_at_white(scene: Scene, base_color: BaseColor) -> float:
-    """Returns the fraction of a capture's Gaussians that the fit has made white in at least one channel."""
+    """Returns the fraction of a capture's Gaussians with a channel that is white now and was not before the fit."""
     if base_color.capture is None or base_color.given is None:
         return 0.0
     white = [(base_colors(some) >= _WHITE) for some in (scene.splats[base_color.capture].gaussians, base_color.given)]
@@ -165,7 +165,7 @@ def share_at_white(scene: Scene, base_color: BaseColor) -> float:
 
 
 def colors_of(scene: Scene, base_colors: Sequence[BaseColor]) -> Doubles:
-    """Returns the M base colours, linear, shape (M, 3); for a capture, the mean over its Gaussians."""
+    """Returns M linear base colours, shape (M, 3): of a material, or the mean over a capture's Gaussians."""
     return np.array([_color(scene, base_color) for base_color in base_colors], np.float64).reshape(-1, 3)
 
 
@@ -195,7 +195,7 @@ def _color(scene: Scene, base_color: BaseColor) -> Doubles:
 
 
 def _with_mean(gaussians: Gaussians, color: Doubles) -> Gaussians:
-    """Returns Gaussians whose albedo is multiplied by one factor per channel, so that its mean is ``color``."""
+    """Returns Gaussians with base colours scaled per channel, up to 1 each, so that their mean is ``color``."""
     own = base_colors(gaussians)
     mean = own.mean(axis=0)
     gain = np.divide(color, mean, out=np.ones(3), where=mean > _DARK)
@@ -237,32 +237,33 @@ class FitOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitTask:
-    """The unknowns of a light fit and its starting point."""
+    """The unknowns of a light fit, and the scene and exposures from which the fit starts."""
 
     scene: Scene
     """Scene at the start; an environment that the SH environment replaces is left out."""
     lights: tuple[int, ...]
-    """Indices of the fitted lights: all enabled lights."""
+    """Indices in the scene of the lights that are fitted: all that are enabled."""
     degree: int | None
     """Degree of the SH environment; None if no SH environment is fitted."""
     scales: bool
-    """True if the powers of lights are fitted."""
+    """True if intensities and colours of lights are fitted; False: they keep those of the scene."""
     keeps_hues: bool
-    """True if a light has one unknown power for all channels instead of one per channel."""
+    """True if a light's colour is held and only its intensity fitted; False: each channel has its own unknown."""
     light_parameters: tuple[LightParameter, ...]
     base_colors: tuple[BaseColor, ...]
     anchors: bool
-    """True if the product of the base colours is held, because images determine only its product with the lights'
-    power.
+    """True if the product of the base colours is held in each channel, because all base colours and the lights' powers
+    are fitted, and images show only the products of both.
     """
     exposed: tuple[bool, ...]
     """True for each image whose exposure is fitted."""
     gains: Doubles
-    """Exposure factors of the V images at the start, shape (V,)."""
+    """Factors ``2^exposure`` of the V images before the fit, shape (V,)."""
     size: float
     """Size of the scene, scene units: the longest side of its bounding box."""
     low: Doubles
-    """Lower corner of the box in which lights may move: the scene's bounding box, extended to the given lights."""
+    """Lower corner, world space, of the box in which lights may move: the scene's bulk, extended to the given lights.
+    """
     high: Doubles
 
     @classmethod
@@ -275,7 +276,8 @@ class FitTask:
             scene: The scene as the caller gave it.
             options: The caller's options.
             exposures: Exposures of the images' cameras, stops.
-            shines: Returns whether the scene emits light that is not fitted.
+            shines: Returns whether surfaces of the scene emit light; it fixes the scale, so that all exposures can be
+                fitted.
 
         Raises:
             ConfigError: There is nothing to fit, or an exposure is invalid.
@@ -334,7 +336,7 @@ class FitTask:
 
 
 def _with_sh_environment(scene: Scene, options: FitOptions) -> tuple[Scene, int | None]:
-    """Returns the scene without an environment that the SH environment replaces, and the SH degree."""
+    """Returns the scene, less an environment that an SH environment replaces, and the SH degree, None for none."""
     own = [light for light in scene.lights if isinstance(light, LightEnvironment) and light.enabled]
     degree = options.environment_degree
     if degree == "auto":

@@ -1,4 +1,4 @@
-"""Fits the powers of lights at given positions, and an SH environment, to images by robust linear least squares."""
+"""Fits the powers (colour times intensity) of lights, and an SH environment, to images by robust least squares."""
 
 from __future__ import annotations
 
@@ -20,103 +20,104 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
 
 HUBER_WIDTH = 1.345
-"""Residual, in standard deviations, up to which Huber's loss is quadratic: 95 % efficiency for normal residuals (Huber
-1981)."""
+"""Residual, in standard deviations, above which Huber's loss grows linearly and no longer quadratically: 95 %
+efficiency for normal residuals (Huber 1981)."""
 
 TUKEY_WIDTH = 4.685
 """Residual, in standard deviations, from which Tukey's weight is 0: 95 % efficiency for normal residuals (Beaton and
 Tukey 1974)."""
 
 DEVIATION_MIN = 1e-4
-"""Lower bound of the residuals' standard deviation, in units of the expected noise. Perfect images have no residuals,
-and the computation of weights divides by the deviation."""
+"""Lower bound of the residuals' standard deviation, in units of the expected noise, by which weights divide: rendered
+images may have no residuals."""
 
 ROBUST_STEPS = 40
-"""Maximum number of steps in which robust weights are recomputed."""
+"""Maximum number of reweightings for each robust loss."""
 
 ROBUST_CHANGE = 1e-7
-"""Relative change of the unknowns at which the recomputation of robust weights ends."""
+"""Largest change of an unknown, relative to the largest unknown, at which reweighting ends."""
 
 NORMAL_RIDGE = 1e-9
-"""Ridge of the normal equations, relative to their diagonal: with it, lights with equal renders get equal powers."""
+"""Ridge added to the diagonal of the normal equations, relative to it: lights with equal renders get equal powers."""
 
 NOISE_SHARE_MAX = 0.5
-"""Largest fraction that is subtracted as noise from the squared norm of a sum of renders."""
+"""Largest fraction of the squared norm of any weighted sum of renders that the removal of render noise may subtract."""
 
 _MAD_TO_DEVIATION = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""Factor from median absolute deviation to standard deviation, for a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """The N pixels of all images, to which the model is fitted."""
+    """The N pixels of all images together: the data to which the linear model of light is fitted."""
 
     target: Doubles
-    """Linear light of the pixels, shape (N, 3)."""
+    """Linear Rec.709 light of the images' pixels, shape (N, 3)."""
     counts: Flags
     """True for the channels of pixels that are fitted, shape (N, 3)."""
     noise: Doubles
-    """Expected error of the pixels' linear light, shape (N, 3)."""
+    """Expected standard error of each pixel's linear light, by which residuals are divided, shape (N, 3)."""
     blocks: Rows
-    """Index of the square block of pixels, with correlated residuals, that contains each pixel, shape (N,)."""
+    """Number of the 8 x 8 block to which each pixel belongs, shape (N,); residuals within a block count as correlated.
+    """
     sizes: tuple[tuple[int, int], ...]
     """Height and width of each image, pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """The K columns of the linear problem with U unknowns: renders whose weighted sum models the images' N pixels."""
+    """Linear model of the images' N pixels: a fixed render plus K renders times factors, which U unknowns give."""
 
     renders: Doubles
-    """Renders of the columns, each made twice with independent noise, shape (2, K, N, 3)."""
+    """The K renders to be scaled, each made twice with independent noise, N pixels, shape (2, K, N, 3)."""
     fixed: Doubles
-    """Render of the light that is not fitted, twice with independent noise, shape (2, N, 3)."""
+    """Render of emission and of lights whose power is held, twice with independent noise, shape (2, N, 3)."""
     tints: tuple[Doubles | None, ...]
-    """Factors, shape (3,), by which the one unknown of each column scales the channels. None: the column has an
-    unknown for each channel."""
+    """For each of the K renders: the light's held colour, shape (3,), which one unknown scales; None: one unknown per
+    channel."""
     bounded: Doubles
     """Matrix of the R inequality constraints ``bounded @ x >= least`` on the unknowns x, shape (R, U)."""
     least: Doubles
-    """Right side of the constraints, shape (R,)."""
+    """Right side of the constraints ``bounded @ x >= least``, shape (R,)."""
     ridge: Doubles = field(default_factory=lambda: np.zeros(0))
     """Ridge of each unknown, relative to the diagonal of the normal equations, shape (U,); empty: no ridge."""
 
     @property
     def spread(self) -> Doubles:
-        """Linear map from the U unknowns to the factors of the K renders in each channel, shape (3, K, U)."""
+        """Matrix that gives the factors of the K renders in each channel for U unknowns, shape (3, K, U)."""
         return spread_of(self.tints)
 
     def channels(self, unknowns: Doubles) -> Doubles:
-        """Returns the factor of each of the K renders in each channel for given unknowns, shape (K, 3)."""
+        """Returns the factors of the K renders per channel, shape (K, 3), for the U unknowns."""
         return np.asarray(np.einsum("cku,u->kc", self.spread, unknowns))
 
     def model(self, unknowns: Doubles) -> Doubles:
-        """Returns the modelled linear light of the pixels for given unknowns, shape (N, 3)."""
+        """Returns linear light of N pixels, the fixed render plus K scaled renders, for the U unknowns, (N, 3)."""
         factors = self.channels(unknowns)
         return self.fixed.mean(axis=0) + np.einsum("knc,kc->nc", self.renders.mean(axis=0), factors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """The U unknowns with the smallest robust loss, and the model of N pixels."""
+    """Result of a robust fit: the U unknowns with the smallest loss, and the modelled light of N pixels."""
 
     unknowns: Doubles
     """Values of the unknowns, shape (U,)."""
     model: Doubles
-    """Modelled pixels, shape (N, 3)."""
+    """Linear light that the fitted unknowns give at the N pixels, shape (N, 3)."""
     weights: Doubles
-    """Weights of the squared residuals, shape (N, 3)."""
+    """Weight of each squared residual: robust weight over squared expected noise, 0 if not fitted, shape (N, 3)."""
     deviation: Doubles
     """Standard deviation of the residuals, in units of the expected noise, as a 0-dimensional array."""
 
 
 def unknown_counts(tints: Sequence[Doubles | None]) -> list[int]:
-    """Returns the number of unknowns of each column: 1 with a tint, 3 without."""
+    """Returns the number of unknowns of each render: 1 if its colour is held (a tint), 3 if it is None."""
     return [3 if tint is None else 1 for tint in tints]
 
 
 def spread_of(tints: Sequence[Doubles | None]) -> Doubles:
-    """Returns the linear map of `Columns.spread` for the tints of K columns."""
+    """Returns the matrix `Columns.spread`, (3, K, U), for the tints of K renders."""
     spread = np.zeros((3, len(tints), sum(unknown_counts(tints))))
     first = 0
     for column, tint in enumerate(tints):
@@ -129,10 +130,10 @@ def spread_of(tints: Sequence[Doubles | None]) -> Doubles:
 
 
 def normal_equations(observed: Observed, columns: Columns, weights: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns the weighted normal equations ``G x = m``: matrix G, positive definite, and right side m.
+    """Returns the weighted normal equations ``G x = m`` of the unknowns x: G, shape (U, U), and m, shape (U,).
 
-    Products are taken between the two renders of each column, whose noise is independent, so that noise does not bias
-    the products. At most `NOISE_SHARE_MAX` of the squared norm of a sum of renders is removed as noise.
+    Render noise does not bias G and m, because the two renders of each light, whose noise is independent, are
+    multiplied. At most `NOISE_SHARE_MAX` of the squared norm of a sum of renders is removed as noise.
     """
     spread = columns.spread
     first, second = columns.renders
@@ -163,7 +164,7 @@ def lifted(gram: Doubles, ridge: Doubles) -> Doubles:
 
 
 def _without(gram: Doubles, noise: Doubles) -> Doubles:
-    """Subtracts the renders' noise from their inner products, at most `NOISE_SHARE_MAX` of any sum's squared norm."""
+    """Subtracts render noise, shape (U, U), from the matrix ``gram``, at most `NOISE_SHARE_MAX` of any norm."""
     if not noise.any():
         return gram
     root = np.linalg.cholesky(gram)
@@ -178,8 +179,9 @@ def robust_solve(observed: Observed, columns: Columns, *, redescends: bool = Fal
 
     Args:
         observed: Pixels of the images.
-        columns: Columns of the linear problem.
-        redescends: Whether to end with Tukey's loss, which gives outliers weight 0: objects that the scene lacks.
+        columns: Renders whose factors are the unknowns.
+        redescends: Whether to continue with Tukey's loss, which gives outliers, such as objects that the scene lacks,
+            weight 0.
     """
     base = observed.counts / observed.noise**2
     weights, unknowns, deviation = base, np.zeros(columns.spread.shape[2]), 1.0
@@ -202,7 +204,7 @@ def robust_solve(observed: Observed, columns: Columns, *, redescends: bool = Fal
 
 
 def mean_around(observed: Observed, residuals: Doubles) -> Doubles:
-    """Averages residuals over the fitted pixels of each 3 x 3 neighbourhood, shape (N, 3).
+    """Averages residuals, (N, 3), over the fitted pixels among each pixel and its eight neighbours.
 
     The robust weights use these means, because noise must not choose the weights; objects that the scene lacks are
     larger than a pixel.
@@ -219,25 +221,25 @@ def mean_around(observed: Observed, residuals: Doubles) -> Doubles:
 
 
 def sum_around(image: Doubles) -> Doubles:
-    """Returns the sum over each pixel and its eight neighbours, C channels, shape (H, W, C)."""
+    """Returns for each pixel the sum over itself and its eight neighbours in the image, shape (H, W, C)."""
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
     down = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray(down[:, :-2] + down[:, 1:-1] + down[:, 2:])
 
 
 def huber_cost(observed: Observed, model: Doubles, deviation: Doubles) -> float:
-    """Returns the mean Huber loss of the residuals, in units of the squared deviation."""
+    """Returns the mean Huber loss of the fitted residuals, which are divided by expected noise times ``deviation``."""
     size = np.abs((observed.target - model) / (observed.noise * deviation))[observed.counts]
     return float(np.where(size <= HUBER_WIDTH, 0.5 * size**2, HUBER_WIDTH * (size - 0.5 * HUBER_WIDTH)).mean())
 
 
 def huber_weights(residuals: Doubles) -> Doubles:
-    """Returns Huber's weights of residuals in standard deviations: 1 up to `HUBER_WIDTH`, then falling as 1 / x."""
+    """Returns Huber's weights of standardised residuals x: ``min(1, HUBER_WIDTH / |x|)``."""
     return HUBER_WIDTH / np.maximum(np.abs(residuals), HUBER_WIDTH)
 
 
 def tukey_weights(residuals: Doubles) -> Doubles:
-    """Returns Tukey's biweights of residuals in standard deviations, which fall to 0 at `TUKEY_WIDTH`."""
+    """Returns Tukey's biweights of standardised residuals x: ``(1 - (x / TUKEY_WIDTH)^2)^2``, 0 beyond the width."""
     return np.maximum(1.0 - (residuals / TUKEY_WIDTH) ** 2, 0.0) ** 2
 
 
@@ -251,8 +253,8 @@ def covariance(observed: Observed, columns: Columns, solution: Solution, held: D
 
     Args:
         observed: Pixels of the images.
-        columns: Columns of the linear problem.
-        solution: The solution.
+        columns: Renders whose factors are the unknowns.
+        solution: The fitted unknowns, with the weights of the pixels.
         held: Matrix added to the normal equations, such as the anchor of base colours, shape (U, U).
 
     Returns:
@@ -274,12 +276,12 @@ def covariance(observed: Observed, columns: Columns, solution: Solution, held: D
 
 
 RELATIVE_NOISE = 0.02
-"""Expected error of a pixel's light, relative to the sum of the pixel's light and the image's mean: no model is more
+"""Expected error of a pixel's light, relative to the pixel's light plus the image's mean light: no light model is more
 exact."""
 
 NOISE_BLUR = 2
-"""Radius, in pixels, of the blur applied to an image before its expected error is computed. Without the blur, pixels
-that noise has darkened would get larger weights."""
+"""Radius, pixels, of the box blur of an image from which its expected error is computed: unblurred, pixels that noise
+darkened would get larger weights."""
 
 ENVIRONMENT_ROWS = 32
 """Height, in pixels, of the images of SH environments: of the basis functions and of the fitted environment."""
@@ -291,25 +293,26 @@ BLOCK_PX = 8
 """Side, in pixels, of the square blocks within which residuals count as correlated for standard errors."""
 
 _SH_RIDGE = 1e-7
-"""Ridge of the environment's coefficients above degree 0: in directions that no surface faces, the environment stays
-constant."""
+"""Relative ridge of the environment's SH coefficients above degree 0: they tend to 0, a constant environment, where no
+surface receives light."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A guess of lights, base colours and exposures, with its renders and the powers that fit best."""
+    """A guess of light positions, base colours and exposures, with its renders and the light powers that fit best."""
 
     scene: Scene
-    """Scene with the guessed light parameters; its lights still have the powers of the previous candidate."""
+    """Scene with guessed positions, radii, angles and base colours; its lights' powers are not the fitted ones, see
+    `powers`."""
     gains: Doubles
-    """Exposure factors of the V images, shape (V,)."""
+    """Factors ``2^exposure`` of the V images, shape (V,)."""
     lights: Mapping[int, Doubles]
-    """Render of each fitted light with power 1, by the light's index, N pixels, shape (2, N, 3)."""
+    """By the index of each fitted light, two renders of what it adds with colour times intensity 1, shape (2, N, 3)."""
     sh_renders: Doubles
-    """Render under each of the K SH basis functions of the environment, shape (2, K, N, 3); K is 0 without an SH
-    environment."""
+    """Two renders of what each of K SH basis functions adds as the environment, shape (2, K, N, 3); K is 0 without an
+    SH environment."""
     fixed: Doubles
-    """Render of the light that is not fitted, shape (2, N, 3)."""
+    """Two renders of the scene's emission without any light, shape (2, N, 3)."""
     columns: Columns
     solution: Solution
 
@@ -341,12 +344,12 @@ class Candidate:
 
 
 class PowerFitter:
-    """Renders candidates for images of one resolution, with N pixels together, and fits the candidates' powers.
+    """Fits light powers to images of one resolution, N pixels together, for guesses of all other unknowns.
 
     Args:
-        task: The unknowns.
-        images: Images at this resolution.
-        layers: Renderer of single lights.
+        task: What is fitted.
+        images: Images, all scaled to this fitter's resolution.
+        layers: Renders single lights.
     """
 
     def __init__(self, task: FitTask, images: Sequence[FitImage], layers: LightLayers) -> None:
@@ -364,22 +367,22 @@ class PowerFitter:
         )
 
     def begin(self, scene: Scene, gains: Doubles) -> Candidate:
-        """Renders all lights of ``scene``, and returns the first candidate."""
+        """Renders every light of ``scene`` and fits the powers; ``gains`` are the V images' exposure factors."""
         return self._guess(scene, gains, None)
 
     def moved(self, candidate: Candidate, scene: Scene, gains: Doubles) -> Candidate:
-        """Returns a candidate with the lights, base colours and exposures of ``scene`` and ``gains``.
+        """Returns a candidate for another ``scene``, with the same lights moved or resized, and factors ``gains``.
 
-        Renders of ``candidate`` whose light and surfaces are unchanged are reused.
+        Renders of ``candidate`` whose light and surfaces are unchanged are reused; ``gains`` are exposure factors.
         """
         return self._guess(scene, gains, candidate)
 
     def settled(self, candidate: Candidate) -> Candidate:
-        """Returns the candidate with powers solved again under Tukey's loss, which ignores outliers."""
+        """Returns the candidate with powers solved again under Tukey's loss, in which large residuals have weight 0."""
         return replace(candidate, solution=robust_solve(self.observed, candidate.columns, redescends=True))
 
     def render_of(self, candidate: Candidate, number: int, scene: Scene) -> Doubles:
-        """Renders the light number ``number`` of ``scene`` with power 1, shape (2, N, 3)."""
+        """Renders what light number ``number`` of ``scene`` adds with colour times intensity 1, shape (2, N, 3)."""
         return self.layers.render_light(candidate.scene, unit(scene.lights[number]), self.images, candidate.fixed)
 
     def exposed(self, renders: Doubles, gains: Doubles) -> Doubles:
@@ -411,7 +414,7 @@ class PowerFitter:
     def _columns(
         self, scene: Scene, gains: Doubles, lights: Mapping[int, Doubles], sh_renders: Doubles, fixed: Doubles
     ) -> Columns:
-        """Builds the columns: lights, then SH basis functions. Lights with held power are part of the fixed render."""
+        """Builds the linear model of lights, then SH basis functions; lights of held power join the fixed render."""
         renders, tints = list(lights.values()), [self._tint(scene, number) for number in lights]
         if not self.task.scales:
             shining = (power_of(scene.lights[number]) * render for number, render in lights.items())
@@ -437,7 +440,7 @@ class PowerFitter:
         )
 
     def _tint(self, scene: Scene, number: int) -> Doubles | None:
-        """Returns the colour of a light if it is held, scaled to brightest channel 1; None if channels are fitted."""
+        """Returns a light's colour, brightest channel 1, if it is held; None if every channel is an unknown."""
         if not self.task.keeps_hues:
             return None
         color = np.array(scene.lights[number].color, np.float64)
@@ -457,7 +460,7 @@ def _expected_noise(image: FitImage) -> Doubles:
 
 
 def _blurred(image: Doubles) -> Doubles:
-    """Returns a box blur of the image, with its border repeated."""
+    """Returns the image box-blurred over 2 `NOISE_BLUR` + 1 pixels in each direction; border pixels are repeated."""
     height, width = image.shape[:2]
     padded = np.pad(image, ((NOISE_BLUR, NOISE_BLUR), (NOISE_BLUR, NOISE_BLUR), (0, 0)), mode="edge")
     reach = range(2 * NOISE_BLUR + 1)
@@ -466,13 +469,13 @@ def _blurred(image: Doubles) -> Doubles:
 
 
 def _encoding_slope(light: Doubles) -> Doubles:
-    """Returns the derivative of display values with respect to linear light."""
+    """Returns the derivative of sRGB display values with respect to linear light, which is clamped to 0.0001..1."""
     bright = np.clip(light, 1e-4, 1.0)
     return np.asarray((encode_srgb(1.01 * bright) - encode_srgb(0.99 * bright)) / (0.02 * bright))
 
 
 def _blocks(images: Sequence[FitImage]) -> Rows:
-    """Returns the index of the square block of pixels to which each of the N pixels belongs, shape (N,)."""
+    """Returns for each of N pixels the number of its 8 x 8 block (`BLOCK_PX`), counted over all images, shape (N,)."""
     blocks: list[Rows] = []
     first = 0
     for image in images:

@@ -29,36 +29,36 @@ from lumisplat.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedView:
-    """An image to fit and the fitted model of it, both linear Rec.709 times exposure, at the resolution of the fit."""
+    """One fitted image and the model's render of it, both linear Rec.709 times exposure, at the fit's resolution."""
 
     camera: Camera
     """Camera at the resolution of the fit, with the fitted exposure."""
     image: Doubles
-    """The image, shape (H, W, 3)."""
+    """Linear light of the image, downscaled to the resolution of the fit, shape (H, W, 3)."""
     fitted: Doubles
-    """The model of the image: all renders times their fitted powers, shape (H, W, 3)."""
+    """Linear light that the fitted scene gives in this view: emission plus all lights' renders, shape (H, W, 3)."""
     weights: Doubles
     """Final weight of each channel of each pixel, 0..1, shape (H, W, 3): 0 where the pixel is clipped or masked, shows
     an unlit capture or background, or where the model does not explain the pixel."""
     residual: float
     """Weighted root mean square difference of display values between image and model, 0..1."""
     clipped: int
-    """Number of pixels of the image with a channel that is black or white, at an end of its range."""
+    """Number of the image's pixels that were not fitted because a channel is black or white, at an end of its range."""
     masked: int
-    """Number of pixels of the image that the mask leaves out."""
+    """Number of the image's pixels that were not fitted because the user's mask excludes them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightFit:
-    """The L lights, the base colours and exposures that `fit_lights` estimated, with their errors."""
+    """Result of `fit_lights`: L fitted lights, base colours and exposures, with standard errors and residuals."""
 
     scene: Scene
     """The scene with the fitted lights and base colours."""
     lights: tuple[Light, ...]
-    """The fitted lights, in the order of the scene. An SH environment is the last light, if any light of it was found.
-    """
+    """The L fitted lights in the scene's order; last the SH environment, if its light was found in the images."""
     shares: Doubles
-    """Fraction of the modelled luminance that each light gives, shape (L,); surfaces emit the remainder."""
+    """Fraction of the modelled luminance of the fitted pixels that each light gives, shape (L,); the remainder is
+    emission."""
     standard_errors: Doubles
     """Standard errors of the lights' powers (colour times intensity), shape (L, 3); for an SH environment, of its mean
     radiance."""
@@ -70,11 +70,12 @@ class LightFit:
     """Fitted base colours, linear, by the name of the material or capture; for a capture, the mean over its Gaussians.
     """
     exposures: Doubles
-    """Exposures of the V images, stops, shape (V,)."""
+    """Exposures of the V images after the fit, stops, shape (V,); held ones keep their given value."""
     views: tuple[FittedView, ...]
-    """Image, model and residuals of each view."""
+    """For each fitted image: the image, the model's render of it, weights and residual."""
     remarks: tuple[str, ...]
-    """Notes on the result, one sentence each, such as lights that the images cannot distinguish."""
+    """Sentences for the user on problems of the fit, such as lights that the images cannot distinguish or clipped
+    pixels."""
 
     def __repr__(self) -> str:
         residuals = ", ".join(f"{view.residual:.4f}" for view in self.views)
@@ -84,13 +85,13 @@ class LightFit:
 def result_of(
     given: Scene, options: FitOptions, fitter: PowerFitter, candidate: Candidate, certainty: Certainty
 ) -> LightFit:
-    """Converts the last candidate of a fit to the caller's result.
+    """Converts the best candidate of a fit to the `LightFit` that the caller gets.
 
     Args:
-        given: The caller's scene.
-        options: The caller's options.
+        given: Scene that the caller passed to `fit_lights`.
+        options: Options that the caller passed to `fit_lights`.
         fitter: Fitter with the images.
-        candidate: The last candidate.
+        candidate: Fitted lights, base colours and exposures.
         certainty: Standard errors, and unknowns that could not be estimated.
     """
     task, lit_scene = fitter.task, candidate.lit_scene
@@ -122,7 +123,7 @@ def result_of(
 
 
 def _has_environment(candidate: Candidate, shares: Doubles, certainty: Certainty) -> bool:
-    """Returns whether the fitted SH environment is stronger than noise alone would make it."""
+    """Returns whether the fitted SH environment gives a relevant share of light, or exceeds its standard errors."""
     if not candidate.sh_renders.shape[1]:
         return False
     mean = SH_C0 * np.abs(candidate.coefficients[0])
@@ -161,11 +162,12 @@ def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
 
 
 _CLIPPED = 0.2
-"""Fraction of an image's pixels that are clipped from which a remark reports clipping."""
+"""Fraction of an image's pixels with a black or white channel, above which a remark reports the image as clipped."""
 _UNEXPLAINED = 0.1
-"""Fraction of the fitted pixels with weight 0 from which a remark reports that the model does not explain them."""
+"""Fraction of an image's fitted pixels with a weight below 0.05, above which a remark says that the scene does not
+explain them."""
 _WHITE = 0.01
-"""Fraction of a capture's Gaussians that the fit has made white from which a remark reports it."""
+"""Fraction of a capture's Gaussians that the fit made white, above which a remark reports it."""
 _OFF_BELOW = 1e-6
 """Power, relative to the brightest light, below which a remark reports that a light is off."""
 
@@ -192,7 +194,7 @@ def _remarks_of(
 
 
 def _fixed_remarks(given: Scene, options: FitOptions, fitter: PowerFitter, *, has_environment: bool) -> Iterator[str]:
-    """Yields remarks on held quantities, of which images determine only the product with other quantities."""
+    """Yields a sentence for each option without effect, and for each held quantity that images show in products."""
     task = fitter.task
     if task.degree is not None and any(isinstance(light, LightEnvironment) and light.enabled for light in given.lights):
         instead = f"replaced by an SH environment of degree {task.degree}" if has_environment else "removed"
@@ -215,7 +217,7 @@ def _fixed_remarks(given: Scene, options: FitOptions, fitter: PowerFitter, *, ha
 
 
 def _base_color_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
-    """Yields remarks on captures whose fitted colours reached white."""
+    """Yields a sentence for each capture of which the fit made more than `_WHITE` of the Gaussians white."""
     for base_color in fitter.task.base_colors:
         share = share_at_white(candidate.scene, base_color)
         if share > _WHITE:
@@ -271,19 +273,20 @@ def _image_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
 
 
 CONFOUNDED_BELOW = 1e-3
-"""Eigenvalue of the columns' correlation matrix below which the columns in its eigenvector cannot be distinguished:
-two columns then correlate to 0.999."""
+"""Unknowns cannot be distinguished if the correlation matrix of their renders has an eigenvalue below this: two
+renders then correlate to 0.999."""
 
 DARK_SHARE = 1e-5
-"""Norm of a light's render, relative to the largest, below which the light does not appear in the images."""
+"""A light does not appear in the images if the norm of its render is at most this times the largest norm of a light."""
 
 _PART = 0.3
-"""Smallest component of a unit eigenvector with which an unknown belongs to a group that cannot be distinguished."""
+"""Smallest magnitude of an unknown's component, in a unit eigenvector of a nearly singular correlation matrix, at
+which the unknown belongs to the group that cannot be distinguished."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certainty:
-    """Standard errors of a fit with L lights, and the unknowns that the images do not determine."""
+    """Standard errors of L fitted lights, and the unknowns that the images do not determine."""
 
     powers: Doubles
     """Standard errors of the lights' powers, shape (L, 3), last that of the SH environment's mean radiance; 0 for
@@ -291,9 +294,9 @@ class Certainty:
     positions: Doubles
     """Standard errors of the positions, scene units, shape (L, 3); NaN where positions were not fitted."""
     dark: tuple[int, ...]
-    """Indices of lights that do not appear in the images."""
+    """Indices of lights in the scene whose light reaches no fitted pixel, so that they stay unchanged."""
     confounded: tuple[tuple[str, ...], ...]
-    """Groups of names of unknowns that the images cannot distinguish."""
+    """Groups of names of lights, materials or ``exposure`` of which the images determine only a combination."""
 
 
 def certainty_of(fitter: PowerFitter, candidate: Candidate) -> Certainty:
@@ -331,7 +334,12 @@ def certainty_of(fitter: PowerFitter, candidate: Candidate) -> Certainty:
 
 
 def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Returns groups of names of unknowns whose columns are nearly linearly dependent."""
+    """Returns groups of names of unknowns whose derivatives of the images are nearly linearly dependent.
+
+    Args:
+        gram: Normal matrix of the unknowns, whose scaled eigenvectors are tested.
+        names: Name of each unknown's light, material or exposure.
+    """
     lengths = np.sqrt(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
     groups: dict[tuple[str, ...], None] = {}
@@ -342,7 +350,7 @@ def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], .
 
 
 def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
-    """Returns for each unknown the name of its light, material or exposure, for messages."""
+    """Returns for each unknown of the joint problem the name of its light, material or ``exposure``, for messages."""
     columns = [light_name(candidate, number) for number in candidate.lights if task.scales]
     columns += [ENVIRONMENT_NAME] * candidate.sh_renders.shape[1]
     columns += [light_name(candidate, parameter.light) for parameter in task.light_parameters]
@@ -351,5 +359,5 @@ def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
 
 
 def light_name(candidate: Candidate, number: int) -> str:
-    """Returns the name of the light number ``number`` for messages."""
+    """Returns the name of light number ``number`` of the scene for messages, ``lightN`` if it has none."""
     return candidate.scene.lights[number].name or f"light{number}"

@@ -1,4 +1,4 @@
-"""Searches the parameters on which images depend nonlinearly by damped Gauss-Newton (Marquardt 1963).
+"""Searches light positions, sizes and directions, exposures and base colours by Gauss-Newton (Marquardt 1963).
 
 A lattice of positions in the box of the scene gives further starting points.
 """
@@ -27,13 +27,13 @@ from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
 
 COLOR_STEP = 0.04
-"""Step of the central differences by base colours."""
+"""Step to either side, linear colour, in central differences of renders by base colours."""
 
 STEP_LENGTH_MAX = 0.15
 """Longest displacement of a light in one Gauss-Newton step, relative to the size of the scene."""
 
 STEP_MIN = 2e-4
-"""Displacement, relative to the size of the scene, below which the search ends."""
+"""The search ends at a step whose lengths, relative to the scene's size, and other numbers are all below this."""
 
 SEARCH_STEPS = 25
 """Maximum number of Gauss-Newton steps at each resolution."""
@@ -42,23 +42,26 @@ _ANGLE_MAX, _STOPS_MAX = 0.3, 0.7
 """Largest change in one Gauss-Newton step of an angle, radians (`_ANGLE_MAX`), and of the logarithm of an exposure
 factor (`_STOPS_MAX`)."""
 _ANCHOR = 1e3
-"""Weight of the term that holds the product of the base colours, relative to the weight of the images."""
+"""Weight of the quadratic term that holds the product of the base colours, relative to the largest weight of the
+images."""
 _GAIN_MIN = 1e-3
-"""Relative decrease of the cost below which the search ends."""
+"""The search ends at a step that decreases the cost by less than this fraction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
-    """Derivatives of the modelled images with respect to the nonlinear parameters of a candidate."""
+    """Derivatives of the modelled images by light parameters, exposures and base colours, for one candidate."""
 
     renders: Doubles
-    """J derivatives times exposure at N pixels, by light parameters, exposures and base colours, shape (2, J, N, 3)."""
+    """J derivatives of the N pixels' light, times exposure: by light parameters, then exposures, then base colours;
+    two each with independent noise, shape (2, J, N, 3)."""
     tints: tuple[Doubles | None, ...]
-    """Factors as in `Columns.tints`: light parameters and exposures have one unknown, base colours one per channel."""
+    """For each derivative: (1, 1, 1) for light parameters and exposures, one unknown each; None for base colours,
+    which have an unknown per channel."""
 
 
 def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
-    """Returns a candidate at a local minimum of the cost, reached by Gauss-Newton steps from the given candidate."""
+    """Returns a candidate at a local minimum of the Huber cost, by damped Gauss-Newton steps from ``candidate``."""
     task, damping = fitter.task, DAMPING_START
     if not (task.light_parameters or task.base_colors or any(task.exposed)):
         return candidate
@@ -108,7 +111,7 @@ def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
 
 
 def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: LightParameter) -> Doubles:
-    """Returns the derivative of a light's render, with power 1, with respect to a parameter of the light."""
+    """Returns the derivative by ``parameter`` of its light's render at power 1, central difference, (2, N, 3)."""
     light = candidate.scene.lights[parameter.light]
     ends = [parameter.applied(light, sign * parameter.step) for sign in (-1.0, 1.0)]
     span = 2.0 * parameter.step
@@ -120,7 +123,7 @@ def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: Li
 
 
 def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: BaseColor) -> Doubles:
-    """Returns the derivative of the render under all lights with respect to a base colour."""
+    """Returns the derivative by ``base_color`` of the render under all lights, central difference, shape (2, N, 3)."""
     color = colors_of(lit_scene, [base_color])[0]
     ends = [np.clip(color + sign * COLOR_STEP, 0.0, 1.0) for sign in (-1.0, 1.0)]
     lights = [light for light in lit_scene.lights if light.enabled]
@@ -131,7 +134,7 @@ def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: Base
 
 
 def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
-    """Returns the linear columns of a candidate, followed by its derivatives as further columns."""
+    """Returns the linear model whose unknowns are light powers, SH, and the steps along the candidate's `Slopes`."""
     columns = candidate.columns
     added = spread_of(slopes.tints).shape[2]
     return Columns(
@@ -145,7 +148,7 @@ def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
 
 
 def _change(fitter: PowerFitter, candidate: Candidate, slopes: Slopes, damping: float) -> Doubles:
-    """Returns the damped Gauss-Newton step of light parameters, exposures and base colours, one number each.
+    """Returns the damped Gauss-Newton step: one number per light parameter and exposure, three per base colour.
 
     The powers are solved for in the same system, so that the step accounts for their change.
     """
@@ -169,9 +172,9 @@ def _change(fitter: PowerFitter, candidate: Candidate, slopes: Slopes, damping: 
 
 
 def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Doubles) -> Doubles:
-    """Returns a quadratic form on U unknowns that holds the product of all base colours in each channel, (U, U).
+    """Returns a matrix, (U, U), that added to ``gram`` holds the product of all base colours in each channel.
 
-    Without the form, lights could become stronger and surfaces darker without a change of the images.
+    Without it, lights could become stronger and surfaces darker without a change of the images.
     """
     colors = np.maximum(colors_of(candidate.scene, base_colors), 1e-3)
     anchor = np.zeros_like(gram)
@@ -184,7 +187,7 @@ def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Do
 
 
 def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tuple[Scene, Doubles]:
-    """Returns the scene and the exposure factors after a step; components of a step that are too long are cut."""
+    """Returns scene and exposure factors after the step ``change``; too long components are cut to their limits."""
     task, scene, gains = fitter.task, candidate.scene, candidate.gains.copy()
     light_parameters = _shortened(fitter, change[: len(task.light_parameters)])
     lights: dict[int, Light] = {number: scene.lights[number] for number in task.lights}
@@ -205,7 +208,7 @@ def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tupl
 
 
 def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
-    """Returns the light parameters' part of a step with displacements and angles limited."""
+    """Limits a step of the light parameters: displacements to `STEP_LENGTH_MAX`, angles to `_ANGLE_MAX`."""
     task = fitter.task
     result = amounts.copy()
     for number in task.lights:
@@ -223,7 +226,7 @@ def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
 
 
 def _is_short(fitter: PowerFitter, change: Doubles) -> bool:
-    """Returns whether every component of a step is below `STEP_MIN`."""
+    """Returns whether all numbers of a step are below `STEP_MIN`, lengths relative to the scene's size."""
     task = fitter.task
     units = [task.size if parameter.kind in ("position", "radius") else 1.0 for parameter in task.light_parameters]
     scaled = np.abs(change) / np.concatenate([units, np.ones(len(change) - len(units))])
@@ -245,22 +248,23 @@ def _with_light(scene: Scene, number: int, light: Light) -> Scene:
 
 
 def _value(parameter: LightParameter, light: Light) -> float:
-    """Returns the current value of a radius or cone angle."""
+    """Returns the light's present radius or cone angle, whichever ``parameter`` is."""
     return float(getattr(light, "radius" if parameter.kind == "radius" else f"{parameter.kind}_angle"))
 
 
 _SWEEPS = 3
-"""Number of sweeps over the lights; in a sweep each light chooses its best lattice point while the others stay."""
+"""Maximum number of sweeps over the lights; in each, every light takes the best trial position while the others stay.
+"""
 
 
 def lattice_search(fitter: PowerFitter, candidate: Candidate, side: int) -> Scene:
-    """Moves each light to the lattice point with the smallest residual, or leaves it where it is.
+    """Moves each light to the point of a lattice at which the images' residual is smallest, or keeps its position.
 
     The same scene object is returned if all lights stay.
 
     Args:
         fitter: Fitter of small renders.
-        candidate: Candidate with the present positions.
+        candidate: Lights at their present positions, with renders.
         side: Lattice points along each side of the box.
     """
     task = fitter.task
@@ -304,7 +308,7 @@ def lattice_search(fitter: PowerFitter, candidate: Candidate, side: int) -> Scen
 
 
 def _lattice(fitter: PowerFitter, side: int) -> Doubles:
-    """Returns the P lattice points in the box in which lights may move, shape (P, 3)."""
+    """Returns the ``side``^3 points of an even lattice in the box in which lights may move, shape (P, 3)."""
     shares = (np.arange(side) + 0.5) / side
     grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.asarray(fitter.task.low + grid * (fitter.task.high - fitter.task.low))
@@ -315,7 +319,10 @@ def _placed(light: Light, positions: Doubles) -> list[Light]:
 
 
 def _products(fitter: PowerFitter, candidate: Candidate, renders: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns inner products of all renders with each other and with the images, for each channel."""
+    """Returns weighted inner products per channel: of all renders with each other, and with the images.
+
+    Emission is subtracted from the images first. The shapes are (3, R, R) and (3, R) for R renders.
+    """
     observed = fitter.observed
     exposed = fitter.exposed(renders, candidate.gains)
     weights = observed.counts / observed.noise**2
@@ -325,7 +332,7 @@ def _products(fitter: PowerFitter, candidate: Candidate, renders: Doubles) -> tu
 
 
 def _explained(gram: Doubles, moments: Doubles, rows: list[int]) -> float:
-    """Returns how much the renders ``rows``, with their best powers, decrease the squared residuals of all channels."""
+    """Returns by how much the renders ``rows``, with their best powers, decrease the images' squared residuals."""
     total = 0.0
     for channel in range(3):
         part, toward = gram[channel][np.ix_(rows, rows)], moments[channel][rows]
