@@ -30,7 +30,7 @@ def check_kind(name: str, value: object, kind: type | tuple[type, ...], expected
 
 
 def check_argument(function: str, value: object, kind: type, expected: str, hint: str = "") -> None:
-    """Raises a `SceneError` unless an argument of ``function`` is an instance of ``kind``."""
+    """Raises a `SceneError` unless ``value``, an argument of ``function``, is a ``kind``; ``hint`` ends the message."""
     if not isinstance(value, kind):
         raise SceneError(f"{function} takes {expected}, got a {type(value).__name__}{hint}")
 
@@ -89,7 +89,7 @@ COLOR, UNIT_COLOR = LinearColor(), LinearColor(1.0)
 
 
 def items_of(name: str, values: object) -> Iterable[object]:
-    """Returns ``values`` unchanged if they are a list or another iterable; ``name`` names them in the error.
+    """Returns ``values`` unchanged if they are iterable, such as a list; ``name`` names them in the error.
 
     Raises:
         SceneError: ``values`` is a single object.
@@ -100,7 +100,7 @@ def items_of(name: str, values: object) -> Iterable[object]:
 
 
 def with_checked(item: _Item, **values: object) -> _Item:
-    """Copies a frozen dataclass with other field values, without checks: the values must be valid."""
+    """Copies a frozen dataclass with fields replaced by ``values``, which must be valid, because no check runs."""
     changed = copy.copy(item)
     for name, value in values.items():
         object.__setattr__(changed, name, value)

@@ -26,40 +26,41 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 NEAR_SHARE = 1e-3
-"""Largest near plane relative to a scene's size: small scenes get a nearer plane than `NEAR_PLANE`, so that a scene of
-millimetres, given in metres, is not clipped."""
+"""Largest near plane relative to the size of the scene's largest object: `NEAR_PLANE` is halved until it is below, so
+that a scene of millimetres, given in metres, is not clipped."""
 
 # Local origins (docs/adr/0086-one-local-origin.md)
 
 ORIGIN_GRID = 16.0
-"""Step of the grid of origins in units of the scene's size, rounded up to a power of two. Positions keep five digits
-below the scene's size, and scenes around zero, or scenes that move a little, keep their origin."""
+"""Step of the grid of local origins in units of the scene's size, then rounded up to a power of two. Positions keep
+five digits below the scene's size, and a scene around zero, or one that moves a little, keeps its origin."""
 
 SIZE_SAMPLE = 4096
-"""Largest number of points from which an asset's approximate size is estimated."""
+"""Largest number of means or vertices from which the size of a capture or mesh is estimated."""
 
 SIZE_TAIL = 0.02
-"""Fraction of the sampled points that counts as outliers, at each end of each axis."""
+"""Fraction of a capture's sampled means that its bounding box ignores at each end of each axis, as outliers."""
 
 CAMERA_MARGIN = 1.1
-"""Factor from the largest distance of a camera to the mean camera position, to the scene extent, as in INRIA's
-trainer."""
+"""Scene extent, as in INRIA's trainer, over the largest distance of a camera from the mean camera position."""
 
 
 class _Box(NamedTuple):
-    """Bounding box of an asset in object space, without outliers."""
+    """Object-space bounding box of a capture, less outliers, or of a mesh, and the grid point near which it is."""
 
     low: Doubles
     high: Doubles
     middle: Doubles
-    """Grid point nearest to the box's centre, shape (3,): zero unless the asset is far from its coordinate origin."""
+    """Point of the origin grid nearest to the box's centre, shape (3,): zero unless the box is far from the object's
+    origin."""
     is_far: bool
 
 
 _Asset = TypeVar("_Asset", Gaussians, Mesh)
 
 _CENTERED: WeakKeyDictionary[Gaussians | Mesh, tuple[Gaussians | Mesh, Doubles]] = WeakKeyDictionary()
-"""Cache of assets far from their coordinate origin: the asset relative to a grid point, and the grid point."""
+"""Cache of captures and meshes whose means or vertices are far from zero: a copy relative to a grid point, and this
+point."""
 _BOXES: WeakKeyDictionary[Gaussians | Mesh, _Box] = WeakKeyDictionary()
 
 
@@ -74,12 +75,11 @@ class LocalFrame:
 
     @classmethod
     def of_cameras(cls, cameras: Sequence[Camera], extent: float) -> LocalFrame:
-        """Returns the frame centred at the mean camera position whose unit gives the cameras the extent ``extent``.
+        """Returns the frame around the mean camera position in which `camera_extent` of the cameras is ``extent``.
 
         Args:
             cameras: At least one camera.
-            extent: `camera_extent` of the cameras in the local frame. If all cameras are at one position, the unit
-                stays 1.
+            extent: Wanted `camera_extent` in local units. If all cameras are at one position, the unit stays 1.
         """
         eyes = np.stack([camera.eye for camera in cameras])
         middle, found = eyes.mean(axis=0), camera_extent(cameras)
@@ -131,9 +131,10 @@ class LocalFrame:
         return pose
 
     def scene(self, scene: Scene) -> Scene:
-        """Converts a scene to coordinates relative to this frame's origin; the unit stays that of the world.
+        """Moves a scene so that this frame's origin becomes zero; lengths keep the world's unit.
 
-        Assets far from their coordinate origin are re-centred; repeated calls return the same re-centred asset.
+        Captures and meshes with coordinates far from zero are stored anew around a grid point; repeated calls return
+        the same copy.
         """
         assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
         if not self.origin.any() and not any(_box(asset).is_far for asset in assets):
@@ -148,7 +149,7 @@ class LocalFrame:
         return replace(scene, splats=splats, meshes=meshes, lights=[self._moved_light(light) for light in scene.lights])
 
     def _placed(self, asset: _Asset, world_from_object: Doubles) -> tuple[_Asset, Doubles]:
-        """Returns an asset, re-centred if it is far from its coordinate origin, and its object-to-local transform."""
+        """Returns a capture or mesh, stored anew around zero if it is far from zero, and its object-to-local matrix."""
         matrix = world_from_object.copy()
         middle = _box(asset).middle
         if middle.any():
@@ -194,17 +195,17 @@ def rendered_frame(scene: Scene) -> tuple[LocalFrame, float]:
 
 
 def default_near(size: float) -> float:
-    """Returns the default near plane for the size of the largest asset, scene units.
+    """Returns the default near plane for a largest object of size ``size``, scene units.
 
     `NEAR_PLANE` is halved until it is at most a thousandth of the size. Similar sizes, such as those of a capture and
-    of its blocks, thus have the same near plane.
+    of its chunks, thus have the same near plane.
     """
     halvings = math.ceil(math.log2(NEAR_PLANE / (NEAR_SHARE * size))) if size > 0.0 else 0
     return NEAR_PLANE * 2.0 ** -max(halvings, 0)
 
 
 def register_box(gaussians: Gaussians, low: Doubles, high: Doubles) -> None:
-    """Registers a whole capture's bounding box for a part of the capture, so that all parts render in the same frame.
+    """Gives a part of a capture the whole capture's bounding box, so that all parts share one local origin.
 
     Args:
         gaussians: Part of a capture.
@@ -216,11 +217,11 @@ def register_box(gaussians: Gaussians, low: Doubles, high: Doubles) -> None:
 
 
 def needed_origin(points: Doubles, width: float) -> Doubles:
-    """Returns an origin relative to which float32 can represent the points, shape (3,); zero where zero will do.
+    """Returns an origin relative to which float32 resolves the points, shape (3,); zero if it resolves them as is.
 
     Args:
         points: Positions, shape (N, 3), float64; positions beyond float32's range are ignored.
-        width: Size of the smallest detail, in the unit of the points: a scale of Gaussians, an edge of triangles.
+        width: Size of the smallest detail to resolve, in the points' unit: a scale of Gaussians, an edge of triangles.
     """
     points = points[:: -(-len(points) // SIZE_SAMPLE)]
     points = points[(np.abs(points) <= np.finfo(np.float32).max).all(axis=1)]
@@ -235,17 +236,14 @@ def needed_origin(points: Doubles, width: float) -> Doubles:
 
 
 def _grid_point(middle: Doubles, size: float) -> Doubles:
-    """Returns the grid point nearest to ``middle``.
-
-    The grid's step is `ORIGIN_GRID` times ``size``, rounded up to a power of two.
-    """
+    """Returns the grid point nearest to ``middle``; the step is `ORIGIN_GRID` times ``size``, up to a power of 2."""
     least = max(ORIGIN_GRID * size, 1e-12 * float(np.abs(middle).max()), 1e-300)
     step = 2.0 ** math.ceil(math.log2(least))
     return np.asarray(np.round(middle / step) * step, np.float64)
 
 
 def _box(asset: Gaussians | Mesh) -> _Box:
-    """Returns an asset's bounding box without outliers, estimated once from at most `SIZE_SAMPLE` points and cached."""
+    """Returns the object-space bounding box of a capture, less outliers, or a mesh; estimated once and cached."""
     found = _BOXES.get(asset)
     if found is None:
         points = asset.means if isinstance(asset, Gaussians) else asset.positions
@@ -263,7 +261,7 @@ def _box(asset: Gaussians | Mesh) -> _Box:
 
 
 def _boxes(scene: Scene) -> tuple[Doubles, Doubles]:
-    """Returns centres and side lengths of world-space boxes around N instances without outliers, shape (N, 3) each."""
+    """Returns centres and side lengths, (N, 3) each, of world-space boxes of a scene's N instances, less outliers."""
     assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
     boxes = np.array([_box(asset)[:2] for asset in assets])
     matrices = np.array([one.transform for one in (*scene.splats, *scene.meshes)])[:, :3]
@@ -275,11 +273,11 @@ ZERO: Doubles = np.zeros(3)
 """Origin of world coordinates."""
 
 _STRAYS = 0.01
-"""Fraction of a body's means that its bounding box ignores, at each end of each axis."""
+"""Fraction of a caster's Gaussians that its bounding box ignores at each end of each axis, as outliers."""
 
 
 def placed_mesh(instance: MeshInstance) -> Mesh:
-    """Returns the mesh of an instance in world space; a mirroring transform reverses its winding."""
+    """Returns an instance's mesh with vertices in world space; if the transform mirrors, triangles are reversed."""
     mesh, linear = instance.mesh, instance.transform[:3, :3]
     if np.array_equal(instance.transform, np.eye(4)):
         return mesh
@@ -296,10 +294,10 @@ def placed_mesh(instance: MeshInstance) -> Mesh:
 
 
 class PlacedGaussians(NamedTuple):
-    """Gaussians in world space as float32."""
+    """World-space means, rotations, scales and opacities of Gaussians of one or more instances, float32."""
 
     means: FloatArray
-    """Centres, shape (N, 3)."""
+    """World positions of the N centres minus the caller's origin, shape (N, 3)."""
     rotations_wxyz: FloatArray
     """World-from-Gaussian unit quaternions, shape (N, 4)."""
     scales: FloatArray
@@ -321,14 +319,14 @@ def placed_gaussians(instances: Iterable[SplatInstance], origin: Doubles = ZERO)
 
 
 def distance_from_body(points: npt.NDArray[np.floating], gaussians: PlacedGaussians) -> npt.NDArray[np.floating]:
-    """Returns the Chebyshev distance of points from a body's bounding box: the largest over x, y and z; 0 inside.
+    """Returns the Chebyshev distance, the largest along an axis, of P points from Gaussians' bounding box.
 
     Args:
         points: World positions, shape (P, 3).
-        gaussians: The body, at least one Gaussian. The outermost hundredth of the means on each side is ignored.
+        gaussians: At least one Gaussian; their box ignores the outermost 1 % of the means at each end of each axis.
 
     Returns:
-        Distances, scene units, shape (P,).
+        Distances, scene units, 0 inside the box, shape (P,).
     """
     low, high = np.quantile(gaussians.means, (_STRAYS, 1.0 - _STRAYS), axis=0)
     return np.maximum(np.maximum(low - points, points - high), 0.0).max(axis=1, initial=0.0)

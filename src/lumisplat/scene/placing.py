@@ -1,4 +1,4 @@
-"""Placement of objects by position, angles and front; up and front directions of scenes, which files may not store."""
+"""Transforms of objects from position, angles and front axis; up and front directions of scenes without them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UP_AXES: dict[str, Vector] = {
     "x-up": (1.0, 0.0, 0.0),
     "x-down": (-1.0, 0.0, 0.0),
 }
-"""Up directions by name."""
+"""Unit up vectors by name: ``"y-down"`` means that y points down, so that up is (0, -1, 0)."""
 
 _FRONTS: dict[str, Vector] = {
     "y-down": (0.0, 0.0, -1.0),
@@ -34,7 +34,8 @@ _FRONTS: dict[str, Vector] = {
     "x-up": (0.0, 0.0, 1.0),
     "x-down": (0.0, 0.0, 1.0),
 }
-"""Direction from a scene to a viewer in front of it, by up axis: captures are viewed along +z, glTF files along -z."""
+"""By the name of the up axis, unit direction from a scene to a viewer in front of it: captures (y-down) are viewed
+along +z, glTF files (y-up) along -z."""
 
 
 def up_vector_or_none(up: str | npt.ArrayLike | None, name: str = "up") -> Vector | None:
@@ -61,7 +62,7 @@ def up_vector(up: str | npt.ArrayLike) -> Vector:
 
 
 def y_up_from(up: npt.ArrayLike) -> Doubles:
-    """Returns the rotation, shape (3, 3), that takes a scene to coordinates with y up and z to the front, as in glTF.
+    """Returns the rotation, shape (3, 3), from a scene's axes to glTF's: y up, and z towards a viewer in front.
 
     For scenes with y down the rotation is 180 degrees about x.
 
@@ -73,7 +74,7 @@ def y_up_from(up: npt.ArrayLike) -> Doubles:
 
 
 def front_vector(up: npt.ArrayLike) -> Doubles:
-    """Returns the horizontal unit vector from a scene to a viewer in front of it, shape (3,).
+    """Returns the horizontal unit vector from a scene towards a viewer in front of it, by convention, shape (3,).
 
     Args:
         up: Unit vector that points up, shape (3,). For an up vector between the axes, the front of the nearest axis is
@@ -87,50 +88,52 @@ def front_vector(up: npt.ArrayLike) -> Doubles:
 
 
 FRONT_AXES = {"+z": 0.0, "-z": 180.0, "+x": -90.0, "-x": 90.0}
-"""Front axes of objects with y up, and the rotation about y in degrees that turns each to +z."""
+"""For each possible front axis of an object with y up, the rotation about y, degrees, that turns this axis to +z."""
 
 
 class Placement(NamedTuple):
-    """Placement of an instance by position, angles, scale, up and target, instead of a matrix."""
+    """Arguments that place an instance without a matrix: position, angles, scale, up, target and front axis."""
 
     position: npt.ArrayLike | None = None
-    """World position of the object's origin, shape (3,); None: the world's origin."""
+    """World position of the object's origin, shape (3,); None: the origin that the capture or mesh stores."""
     rotation_degrees: npt.ArrayLike | None = None
-    """Rotations about the x, then y, then z axis in degrees, shape (3,)."""
+    """Rotations about the x, then y, then z axis in degrees, shape (3,), before the object is stood upright; None:
+    none."""
     scale: float | None = None
-    """Uniform scale factor, above 0."""
+    """Uniform scale factor, above 0; None: 1."""
     up: str | npt.ArrayLike | None = None
-    """Up direction of the scene; an object with y up is rotated upright there. None: no such rotation."""
+    """Up direction of the scene: an object with y up is rotated so that its y axis points there. None: y up, no
+    rotation."""
     look_at: npt.ArrayLike | None = None
-    """World position that the object's front faces, while the object stays upright."""
+    """World position towards which the object's front axis is turned; None: the front of the scene (`front_vector`)."""
     front: str | None = None
-    """Axis that is the object's front, a key of `FRONT_AXES`; None: +z, as in glTF."""
+    """Axis of the object, before any rotation, that is its front: a key of `FRONT_AXES`; None: +z, as in glTF."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlacedInstance:
-    """Base class of placed assets; subclasses declare ``world_from_object`` and call `_place`."""
+    """Base class of `SplatInstance` and `MeshInstance`, which declare ``world_from_object`` and fill it by `_place`."""
 
     name: str = ""
     position: InitVar[npt.ArrayLike | None] = None
-    """World position of the object's origin, shape (3,). Position, angles, scale, up, target and front together
-    replace ``world_from_object``."""
+    """World position of the object's origin, shape (3,); None: the origin that the capture or mesh stores. With the
+    other placement arguments (angles, scale, up, target, front) it replaces ``world_from_object``."""
     rotation_degrees: InitVar[npt.ArrayLike | None] = None
-    """Rotations about the x, then y, then z axis in degrees, shape (3,)."""
+    """Rotations about the x, then y, then z axis in degrees, shape (3,), before the object is stood upright."""
     scale_by: InitVar[float | None] = None
-    """Uniform scale factor."""
+    """Uniform scale factor, above 0; None: 1."""
     up: InitVar[str | npt.ArrayLike | None] = None
-    """Up direction of the scene, an axis (``"y-down"``) or a direction; an object with y up, as in glTF, is rotated
-    upright there."""
+    """Up direction of the scene, by name (``"y-down"``) or as a vector: an object with y up, as in glTF, is rotated so
+    that its y axis points there. None: no such rotation."""
     look_at: InitVar[npt.ArrayLike | None] = None
-    """World position that the object's front faces, while the object stays upright along ``up``."""
+    """World position towards which the object's front is turned; None: the front of the scene for ``up``."""
     front: InitVar[str | None] = None
     """Axis that is the object's front, with ``up`` or ``look_at``: ``"+z"`` (the default, as in glTF), ``"-z"``,
     ``"+x"`` or ``"-x"``."""
 
     @property
     def transform(self) -> Doubles:
-        """Object-to-world transform, ``world_from_object``, never None."""
+        """Object-to-world matrix, shape (4, 4): ``world_from_object`` after construction, when it is no longer None."""
         # The subclasses declare this field after the asset.
         matrix: Doubles | None = getattr(self, "world_from_object")  # noqa: B009
         assert matrix is not None
@@ -139,7 +142,7 @@ class PlacedInstance:
     def _place(
         self, world_from_object: npt.ArrayLike | None, placing: Placement, origin: Vector = (0.0, 0.0, 0.0)
     ) -> None:
-        """Sets ``world_from_object`` to the given matrix, else that of ``placing``, else a translation to ``origin``.
+        """Sets the field ``world_from_object`` to the result of `placed` for the same arguments.
 
         Raises:
             SceneError: As in `placed`.
@@ -155,12 +158,12 @@ class PlacedInstance:
 
 
 def placed(world_from_object: npt.ArrayLike | None, placing: Placement, origin: Vector = (0.0, 0.0, 0.0)) -> Doubles:
-    """Returns the matrix of a placement, shape (4, 4): scale, rotate, stand upright, then move; or the given matrix.
+    """Returns the given matrix, or else one that scales, rotates, stands upright and then moves, shape (4, 4).
 
-    Without a position, the object moves to ``origin``.
+    Without a position in ``placing``, the object moves to ``origin``.
 
     Raises:
-        SceneError: Both a matrix and a placement are given, or a value is out of range.
+        SceneError: Both a matrix and a field of ``placing`` are given, or a value is out of range.
     """
     given = [name for name, value in placing._asdict().items() if value is not None]
     if not given and world_from_object is None:
@@ -198,7 +201,9 @@ def front_rotation(front: str | None) -> Doubles:
 
 
 def _standing(placing: Placement, position: Doubles) -> Doubles:
-    """Returns the rotation that stands an object with y up upright in the scene, and turns its front to the target.
+    """Returns the rotation, (3, 3), that turns y of an object to the scene's up, and its front to ``look_at``.
+
+    Without ``look_at`` the front turns to `front_vector`. ``position`` is the object's world position.
 
     Raises:
         SceneError: The front is no axis, or the target lies straight above or below.

@@ -98,7 +98,7 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
 
 
 def _axes(right: str, up: str) -> Doubles:
-    """Returns the rotation whose columns are two signed axes and their cross product, shape (3, 3)."""
+    """Returns the rotation, (3, 3), with the signed axes ``right`` and ``up`` and their cross product as columns."""
     x: Doubles
     y: Doubles
     x, y = (np.eye(3)["xyz".index(name[-1])] * (-1.0 if name[0] == "-" else 1.0) for name in (right, up))

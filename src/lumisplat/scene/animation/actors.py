@@ -28,7 +28,8 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
 SEQUENCE_TIME_SLACK = 1e-6
-"""Tolerance in frames for times just before a frame starts: rounding makes k / fps * fps less than k for some k."""
+"""Tolerance, in frames, at which a time just before a frame already shows it: rounding makes k / fps * fps less than k
+for some k."""
 
 SEQUENCE_FRAMES_KEPT = 2
 """Number of frames that a sequence caches: the current and the previous one. A frame may take a gigabyte."""
@@ -47,11 +48,11 @@ class GaussianSequence:
     """
 
     paths: Sequence[Path]
-    """Files of the frames, in order of time."""
+    """Files of the sequence's frames, one each, in order of time."""
     fps: Annotated[float, Range(0.0, above=True)]
-    """Frames per second."""
+    """Frames of the sequence per second, above 0."""
     load: Callable[[Path], Gaussians]
-    """Function that reads the file of a frame."""
+    """Function that reads the Gaussians of one frame from its file."""
     _cache: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict[int, Gaussians], init=False)
     """Cached frames by index, the most recently used last."""
 
@@ -75,10 +76,10 @@ class GaussianSequence:
         return self.frame_count / self.fps
 
     def at(self, time: float) -> Gaussians:
-        """Returns the frame at a time: before the first frame the first, after the last frame the last.
+        """Returns the frame shown at a time; before the first frame that is the first, after the last one the last.
 
         Args:
-            time: Seconds.
+            time: Seconds since the sequence began.
 
         Raises:
             SceneError: The time is not finite.
@@ -106,7 +107,7 @@ class Deforming:
     read: Callable[[float], Instances]
     """Function that reads the placed instances at a time in seconds."""
     _shown: dict[float, Instances] = field(default_factory=dict[float, Instances], init=False)
-    """Cached instances of the last time that was asked for."""
+    """The last time that `at` was given, seconds, and its instances: a cache of at most one entry."""
 
     def at(self, time: float) -> Instances:
         """Returns the instances at a time in seconds; repeated calls for the same time return the same objects.
@@ -125,7 +126,8 @@ class Deforming:
 
 
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
-"""Types of an actor's subject. A `Scene` stands for its captures and meshes, `Deforming` for those of the moment."""
+"""Types that an actor may show. A `Scene` means its captures and meshes, `Deforming` the instances read for the time.
+"""
 _Item = TypeVar("_Item")
 
 
@@ -143,20 +145,23 @@ class Actor:
 
     subject: Subject
     motion: Keyframes | None = None
-    """Motion through the world by the animation's time; None: the actor stays at ``world_from_object``."""
+    """Keyframed motion through the world, in seconds of the animation; None: the actor stays at ``world_from_object``.
+    """
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Transform that is applied before the motion, shape (4, 4); None: the identity."""
+    """Transform of the subject, shape (4, 4), to which ``motion`` is applied afterwards; None: the identity."""
     name: str = field(default="", kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Let the actor cast shadows on the scene."""
+    """Whether the actor casts shadows on the captures of the scene."""
     relight: bool = field(default=True, kw_only=True)
-    """Light the actor by the light that the scene has at the actor's position; False: it keeps its captured colours."""
+    """Relight the actor's Gaussians by a probe of the scene at its position; False: they keep their captured colours.
+    """
     clip: str | None = field(default=None, kw_only=True)
-    """Name of the rig's clip; None: the first."""
+    """Name of the animation clip of the actor's rig; None: the rig's first clip."""
     loop: bool = field(default=True, kw_only=True)
-    """Repeat the clip or the frames; False: hold the last pose. Keyframes never repeat."""
+    """Whether the clip or file sequence starts over at its end; False: its last pose is held. ``motion`` never
+    repeats."""
     speed: Annotated[float, Range(0.0)] = field(default=1.0, kw_only=True)
-    """Playback speed of the clip or the frames: seconds of the clip per second of the animation."""
+    """Playback speed of the clip or file sequence: its seconds per second of the animation; 0 holds the first pose."""
 
     def __post_init__(self) -> None:
         subjects = "Gaussians, a GaussianSequence, RiggedGaussians, a Mesh, a Rig or a Scene"
@@ -176,7 +181,7 @@ class Actor:
 
     @property
     def rig(self) -> Rig | None:
-        """Rig that poses the actor; None if it has none."""
+        """Rig of the actor's subject, a `Rig` or `RiggedGaussians`; None for other subjects."""
         if isinstance(self.subject, RiggedGaussians):
             return self.subject.rig
         return self.subject if isinstance(self.subject, Rig) else None
@@ -213,23 +218,23 @@ class Actor:
         return (SplatInstance(gaussians, world, name=self.name),)
 
     def _placed(self, instances: tuple[Instance, ...], world: npt.NDArray[np.float64]) -> tuple[Instance, ...]:
-        """Transforms instances from the actor's space to the world."""
+        """Returns the instances, named after the actor, with ``world``, (4, 4), applied after their own transforms."""
         return tuple(replace(i, world_from_object=world @ i.transform, name=self.name or i.name) for i in instances)
 
     @property
     def own_duration(self) -> float:
-        """Duration of one pass of the clip or the frames at the actor's speed, seconds; 0 if the actor has neither."""
+        """Duration of one pass of the clip or file sequence at the actor's speed, seconds; 0 if there is none."""
         return self._length() / self.speed if self.speed > 0.0 else 0.0
 
     def _length(self) -> float:
-        """Returns the duration of the clip or the frames at speed 1, seconds; 0 if the actor has neither."""
+        """Returns the duration of the clip or file sequence at speed 1, seconds; 0 if the actor has neither."""
         if isinstance(self.subject, GaussianSequence):
             return self.subject.duration
         rig = self.rig
         return rig.duration(self.clip) if rig is not None and rig.clips else 0.0
 
     def _own_time(self, time: float) -> float:
-        """Converts the animation's time to the time within the clip or the frames."""
+        """Converts the animation's time to the time in the clip or file sequence: times ``speed``, modulo for loops."""
         own, length = self.speed * time, self._length()
         return own % length if self.loop and length > 0.0 else own
 
@@ -264,13 +269,13 @@ class Animation:
     actors: tuple[Actor, ...] = given(converter=_actors, default=())
     cameras: tuple[Camera, ...] = given(converter=_cameras, default=())
     fps: Annotated[float, Range(0.0, above=True)] = 25.0
-    """Frames per second."""
+    """Frames of the animation per second, above 0."""
     frame_count: Annotated[int, Range(1)] = 1
-    """Number of frames, 1 to 1,000,000."""
+    """Number of frames to render, 1 to 1,000,000."""
     lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
     """Settings of the actors' relighting and shadows."""
     camera_path: CameraPath | None = None
-    """Moving camera, by the animation's time; None: ``cameras`` stand still."""
+    """Path of a moving camera, in seconds of the animation; None: the fixed ``cameras`` are used."""
 
     def __post_init__(self) -> None:
         check_kind("scene", self.scene, Scene, "a Scene")
@@ -291,7 +296,7 @@ class Animation:
 
     @property
     def duration(self) -> float:
-        """Time at which the last frame ends, seconds."""
+        """Time at which the last frame ends, ``frame_count / fps``, seconds."""
         return self.frame_count / self.fps
 
     def actors_at(self, time: float) -> list[Instance]:

@@ -21,7 +21,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import items_of, take_scene_fields
 
 _SAME = ("width", "height", "model", "distortion")
-"""Fields that must be equal in all cameras of a path."""
+"""Camera fields that must be equal in all cameras of a path, because they are not interpolated."""
 _BLENDED = ("cx", "cy", "near", "aperture", "focus_distance", "exposure")
 
 
@@ -77,7 +77,7 @@ class CameraPath:
 
     @property
     def duration(self) -> float:
-        """Time of the last camera, seconds."""
+        """Time of the path's last camera, seconds."""
         return float(np.asarray(self.times)[-1])
 
     def at(self, time: float) -> Camera:
@@ -144,7 +144,7 @@ class CameraPath:
 
 
 def _aligned(quaternions: npt.NDArray[np.floating]) -> Doubles:
-    """Flips the signs of quaternions so that neighbours lie in the same hemisphere."""
+    """Flips signs of quaternions, shape (K, 4), so that each is nearer to its predecessor than its negative is."""
     aligned = np.array(quaternions, dtype=np.float64)
     for k in range(1, len(aligned)):
         if aligned[k] @ aligned[k - 1] < 0.0:
@@ -153,14 +153,14 @@ def _aligned(quaternions: npt.NDArray[np.floating]) -> Doubles:
 
 
 def _cubic(times: Doubles, values: Doubles, time: float) -> Doubles:
-    """Interpolates N values between K keys at a time between the first and the last, by cubic Hermite splines.
+    """Interpolates N values at a time from their values at K keys, by a cubic Hermite spline.
 
     The slope at a key is that of the line from the previous to the next key; at the ends, of the line to the neighbour.
 
     Args:
         times: Times of the keys, shape (K,).
         values: Values at the keys, shape (K, N).
-        time: Time at which to interpolate.
+        time: Time at which to interpolate, between the first and the last key.
     """
     k = int(np.searchsorted(times, time, side="right")) - 1
     span = times[k + 1] - times[k]

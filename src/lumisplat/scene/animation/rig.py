@@ -53,18 +53,18 @@ class Interpolation(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """Keys of one channel of one node: K times with C numbers each."""
+    """Animation of one property (channel) of one node: values of C numbers at K key times."""
 
     node: int
     channel: Channel
     interpolation: Interpolation
     times: Doubles
-    """Times of the keys in seconds, not decreasing, shape (K,)."""
+    """Times of the K keys, seconds, not decreasing, shape (K,)."""
     values: Doubles
     """Values at the keys, shape (K, C)."""
     tangents: Doubles | None = None
-    """Incoming and outgoing tangents of a cubic spline at each key, value units per second, shape (K, 2, C); None
-    without a spline."""
+    """Incoming and outgoing tangents at each key of a cubic spline, value units per second, shape (K, 2, C); None if
+    values are interpolated linearly."""
 
     def at(self, time: float) -> Doubles:
         """Returns the value at a time, shape (C,), constant before the first key and after the last one."""
@@ -84,20 +84,20 @@ class Track:
         return (1.0 - share) * first + share * second
 
     def _normalise(self, value: Doubles) -> Doubles:
-        """Normalises a rotation, because splines do not preserve its length; values of other channels stay."""
+        """Scales an interpolated rotation to length 1, which splines do not preserve; returns other values as given."""
         return value / np.linalg.norm(value) if self.channel is Channel.ROTATION else value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """A named animation of a rig, made of tracks."""
+    """A named animation of a rig: tracks, each for one property of one node."""
 
     name: str
     tracks: tuple[Track, ...]
 
     @property
     def duration(self) -> float:
-        """Time of the last key, seconds."""
+        """Time of the last key of all tracks, seconds."""
         return max((float(track.times[-1]) for track in self.tracks), default=0.0)
 
 
@@ -116,8 +116,8 @@ class Skeleton:
     scales: Doubles
     """Rest scales, shape (N, 3)."""
     matrices: Mapping[int, Doubles]
-    """``parent_from_node`` matrices by node, for nodes that store a matrix instead of translation, rotation and scale;
-    clips do not move these nodes."""
+    """By node, the matrix ``parent_from_node``, for nodes that a file gives as a matrix instead of translation,
+    rotation and scale; clips do not move these nodes."""
 
     def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> Doubles:
         """Returns the transforms of all N nodes to world space, shape (N, 4, 4).
@@ -166,7 +166,7 @@ def blend_matrices(matrices: _Floats, joints: npt.NDArray[np.integer], weights: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MorphTargets:
-    """Offsets of V vertices by T morph targets, added by weight."""
+    """Blend shapes: T targets that offset V vertices, multiplied by weights and added."""
 
     node: int
     """Index of the node whose morph-target weights a clip animates."""
@@ -180,20 +180,20 @@ class MorphTargets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigPart:
-    """V vertices in the bind pose, and the J joints that move them, K per vertex."""
+    """One skinned mesh: V vertices in the bind pose, and the J joints that move them, up to K for each vertex."""
 
     positions: FloatArray
-    """Positions in the bind pose, shape (V, 3)."""
+    """Vertex positions in the bind pose, before morph targets, shape (V, 3)."""
     normals: FloatArray | None
-    """Normals in the bind pose, shape (V, 3)."""
+    """Vertex normals in the bind pose, shape (V, 3); None: the posed mesh is shaded flat."""
     nodes: IntArray
-    """Index of the node of each joint, shape (J,)."""
+    """For each of the J joints, the index of its node in the skeleton, shape (J,)."""
     joint_from_bind: Doubles
     """Inverse bind matrix of each joint, shape (J, 4, 4)."""
     joints: IntArray
     """Indices of the joints that move each vertex, 0..J-1, shape (V, K)."""
     weights: FloatArray
-    """Weights of each vertex's joints, non-negative with a positive sum, shape (V, K)."""
+    """Skinning weight of each vertex's K joints, non-negative with a positive sum, shape (V, K)."""
     morphs: MorphTargets | None = None
 
     def matrices(self, world_from_node: Doubles) -> Doubles:
@@ -201,7 +201,10 @@ class RigPart:
         return blend_matrices(world_from_node[self.nodes] @ self.joint_from_bind, self.joints, self.weights)
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
-        """Returns posed positions and normals (of any length) of V vertices in world space, shape (V, 3) each."""
+        """Returns posed world-space positions and normals, of any length, of V vertices, (V, 3) each.
+
+        The normals are None if the part has none.
+        """
         positions: npt.NDArray[np.floating] = self.positions
         normals: npt.NDArray[np.floating] | None = self.normals
         if self.morphs is not None:
@@ -220,7 +223,7 @@ class RigPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigSurface:
-    """Triangles of one material over the concatenated vertices of several `RigPart`."""
+    """One mesh of a rig: triangles of one material over the vertices of several `RigPart`, joined in order."""
 
     parts: tuple[RigPart, ...]
     indices: IntArray
@@ -230,17 +233,20 @@ class RigSurface:
     colors: FloatArray | None
     name: str
     _usable_indices: dict[bytes, IntArray] = field(default_factory=dict[bytes, IntArray], init=False, repr=False)
-    """Triangles with an area in the last pose that flattened some, by the mask of usable triangles."""
+    """Cache of one entry: triangles that have an area in a pose, by the mask of these triangles as bytes."""
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
-        """Returns posed positions and normals (of any length) of all V vertices in world space, shape (V, 3) each."""
+        """Returns posed world-space positions and normals, of any length, of all V vertices, (V, 3) each.
+
+        The normals are None if a part has none.
+        """
         moved = [part.pose_vertices(pose) for part in self.parts]
         normals = [normals for _, normals in moved if normals is not None]
         positions = np.concatenate([positions for positions, _ in moved])
         return positions, np.concatenate(normals) if len(normals) == len(moved) else None
 
     def mesh(self, pose: RigPose) -> Mesh | None:
-        """Returns the posed mesh without the triangles that have lost their area; None if no triangle is left."""
+        """Returns the mesh in a pose, without triangles that the pose flattens to area 0; None if none is left."""
         moved, normals = self.pose_vertices(pose)
         positions = read_only_view(moved.astype(np.float32))
         usable = check_triangles(positions, self.indices).usable
@@ -267,7 +273,7 @@ class RigSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigPose:
-    """State of a rig at a time."""
+    """Node transforms and morph-target weights of a rig at one time."""
 
     world_from_node: Doubles
     """Transforms of the N nodes to world space, shape (N, 4, 4)."""
@@ -391,12 +397,12 @@ class Rig:
 
 
 def join_triangles(parts: list[RigPart], indices: list[IntArray], skeleton: Skeleton) -> IntArray:
-    """Joins the triangles of several parts into one array over the vertices of all parts, shape (F, 3).
+    """Joins triangles of several parts into one array of indices into their concatenated vertices, shape (F, 3).
 
     Args:
         parts: Parts of one surface.
-        indices: Triangles of each part, shape (F, 3). The winding of parts that are mirrored at rest is reversed.
-        skeleton: Provides the rest pose.
+        indices: Triangles of each part, shape (F, 3); those of parts that are mirrored at rest are reversed.
+        skeleton: Gives the rest pose.
     """
     world_from_node = skeleton.world_from_node()
     shifted: list[npt.NDArray[np.integer]] = []

@@ -16,8 +16,8 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.mesh_sampling import SurfaceSamples, sample_surfaces
 
 RIG_HIDDEN_AREA = 1e-4
-"""Area of a posed triangle, relative to its rest area, below which the triangle's Gaussians vanish: the triangle is
-scaled to a hundredth, or so flat that float32 loses its normal."""
+"""Ratio of a triangle's posed to its rest area below which its Gaussians become transparent: it is scaled to a
+hundredth, or so flat that float32 loses its normal."""
 
 RIG_SHEAR_MIN = 1e-5
 """Cosine between a Gaussian's two deformed wide axes below which the axes count as perpendicular: above float32's
@@ -31,13 +31,13 @@ _SHORT_NORMAL = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Binding:
-    """Binding of the N Gaussians of one surface to T triangles of the surface.
+    """Attachment of N Gaussians to T triangles of one surface.
 
     The frame of a triangle has the columns (first edge, second edge, normal); at rest the normal has length 1.
     """
 
     corners: IntArray
-    """Vertex indices of the triangles, shape (T, 3)."""
+    """Vertex indices of the T triangles that hold Gaussians, shape (T, 3)."""
     areas: FloatArray
     """Twice the rest areas of the triangles, shape (T,)."""
     triangles: IntArray
@@ -45,11 +45,11 @@ class Binding:
     weights: FloatArray
     """Barycentric coordinates of each Gaussian's centre in its triangle, shape (N, 3)."""
     in_frame: FloatArray
-    """Gaussians in the rest frame of their triangle: columns are the two wide axes times their scales, and the centre
-    relative to the first corner; shape (N, 3, 3)."""
+    """Rest pose of each Gaussian in coordinates of its triangle's frame, shape (N, 3, 3). Columns: two wide axes times
+    their scales, and the centre relative to the triangle's first corner."""
 
     def frames(self, positions: _Floats) -> tuple[FloatArray, FloatArray]:
-        """Returns the posed frames of the T triangles, and the ratios of posed to rest areas.
+        """Returns the frames (edges and normal) of the T triangles in a pose, and their areas relative to rest.
 
         The length of the normal is the square root of the area ratio, so that a uniform scale of the surface scales the
         frame uniformly.
@@ -129,7 +129,7 @@ def deform_gaussians(
 
 
 def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
-    """Returns two perpendicular vectors that span the same ellipse as ``first`` and ``second``, shape (N, 3) each.
+    """Returns perpendicular semi-axes of the ellipses with conjugate semi-axes ``first`` and ``second``, (N, 3) each.
 
     Each pair is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two possible angles, so that axes
     change as little as possible.
@@ -144,7 +144,7 @@ def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
 
 
 def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
-    """Returns shading normals of N Gaussians, shape (N, 3); ``flat`` if the vertices have no normals."""
+    """Returns shading normals of N Gaussians, interpolated from vertex normals, (N, 3); ``flat`` if these are None."""
     if vertex_normals is None:
         return flat
     lengths = np.linalg.norm(vertex_normals, axis=1, keepdims=True)
@@ -181,7 +181,7 @@ class RiggedGaussians:
     gaussians: Gaussians
     """Gaussians in the rest pose, in the rig's world space."""
     bindings: tuple[Binding, ...]
-    """Binding of each surface of the rig, in the order of the Gaussians."""
+    """Attachment of the Gaussians of each surface of the rig, in the order in which ``gaussians`` holds them."""
 
     def __repr__(self) -> str:
         return f"RiggedGaussians(count={self.count}, rig={self.rig!r})"

@@ -1,4 +1,4 @@
-"""Colours of Gaussians from their SH (Kerbl et al. 2023), in display space, and their change under scaled light.
+"""Colours of Gaussians from SH in display space (Kerbl et al. 2023), and how they change if captured light is scaled.
 
 See docs/method/gaussians.md#colour.
 """
@@ -27,10 +27,10 @@ inside the linear part of the sRGB curve (0.04), where the gain equals the facto
 _DIRECTIONS_PER_COEFFICIENT = 8
 """Sample directions per SH coefficient when SH are fitted: twice as many give the same root mean square error."""
 _STEP = 4096
-"""Number of Gaussians that are converted at once."""
+"""Number of Gaussians whose SH `display_sh` converts at once."""
 
 Subject = TypeVar("Subject", Gaussians, SplatInstance)
-"""Type of the object whose light is scaled; functions return an object of the type that they are given."""
+"""`Gaussians` or `SplatInstance`: functions return an object of the type that they are given."""
 
 
 def colors_along(gaussians: Gaussians, directions: npt.NDArray[np.floating], degree: int = SH_DEGREE_MAX) -> FloatArray:
