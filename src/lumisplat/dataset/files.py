@@ -75,13 +75,13 @@ def view_file(index: int) -> str:
 
 
 def layer_file(layer: str, name: str) -> str:
-    """Returns the path of a layer's file for the view ``name``, relative to the data set's folder."""
+    """Returns the path of a layer's file for the view ``name``, such as ``depth/view_000000.npy`` in the data set."""
     files = LAYER_FILES[layer]
     return f"{files.folder}/{name}.{files.extension}"
 
 
 IdTypes = Mapping[str, type[np.uint8] | type[np.uint16]]
-"""Pixel types of the ``instance`` and ``category`` layers."""
+"""Pixel type, uint8 or uint16, of the layers ``instance`` and ``category``, by layer."""
 
 
 def write_view(folder: Path, view: DatasetView, frame: Frame, config: DatasetConfig, id_types: IdTypes) -> None:

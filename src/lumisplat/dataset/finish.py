@@ -35,7 +35,7 @@ _AXES = "cameras: x right, y down, z forward (OpenCV); camera_from_world takes c
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSummary:
-    """Numbers of views in each split, of views not rendered yet, and of objects without a free position."""
+    """Result of `finish_dataset`: numbers of views in each split, of missing views, and of objects not inserted."""
 
     train: int
     """Number of training views."""
@@ -87,7 +87,7 @@ def finish_dataset(folder: str | os.PathLike[str], config: DatasetConfig) -> Dat
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """Returns the JSON record of a view; None if the view is not rendered yet.
+    """Returns the content of a view's JSON file; None if there is no file, because the view is not rendered yet.
 
     Raises:
         FormatError: The file is damaged.
@@ -174,7 +174,7 @@ def _write_shards(folder: Path, records: Sequence[Mapping[str, Any]], views: int
 
 
 def _remove_shards(folder: Path, kept: Sequence[Path]) -> None:
-    """Removes all shards except those in ``kept``."""
+    """Deletes all shard files (``.tar``) of a data set except those in ``kept``."""
     for path in (folder / SHARD_FOLDER).glob("*-??????.tar"):
         if path not in kept:
             with suppress(OSError):
@@ -211,7 +211,7 @@ _SHEET_COLUMNS = 8
 _TILE_WIDTH = 200
 """Width of an image on the contact sheet, pixels."""
 _FAR, _NEAR = 0.1, 1.0
-"""Grey values, 0..1, of a view's farthest surface and of its nearest surface on the contact sheet."""
+"""Grey values on the contact sheet, 0..1: `_FAR` for the farthest surface of a depth image, `_NEAR` for the nearest."""
 _NOT_ON_SHEET = ("exr",)
 
 

@@ -33,13 +33,13 @@ class DatasetThing:
     category_id: int
     """Value of the object's pixels in the layer ``category``, from 1; the same for a category in all views."""
     kind: str
-    """``capture``, ``mesh``, or ``scene`` for an inserted object that has several captures or meshes."""
+    """``capture`` or ``mesh``; for an inserted object with several captures or meshes ``scene``."""
     is_object: bool
     """True for an object that was inserted into the scene; False for a capture or mesh of the given scene."""
     instances: tuple[int, ...]
     """Indices of the object's captures and meshes in ``Frame.instance_index``."""
     world_from_object: Doubles
-    """Object-to-world transform, shape (4, 4)."""
+    """Transform to the world from object coordinates, those of the capture, of the mesh or of the inserted file."""
     low: Doubles
     """Lower corner of the bounding box in object coordinates, shape (3,), without a capture's stray Gaussians."""
     high: Doubles
@@ -64,7 +64,7 @@ class Catalogue:
         self._boxes += [_box(mesh.mesh.positions) for mesh in scene.meshes]
         self._asset_boxes = {id(asset): _box(asset.points) for asset in assets}
         self.categories = tuple(dict.fromkeys((*self._categories, *(asset.name for asset in assets))))
-        """Names of the categories, in the order of their ids from 1."""
+        """Names of all categories in the order of their ids: the first has id 1."""
 
     def things(self, objects: Sequence[PlacedObject]) -> list[DatasetThing]:
         """Returns the labels of all objects in a view, by id; ``objects`` are those inserted into this view."""
@@ -157,9 +157,9 @@ class DatasetView:
     index: int
     """Index of the view, from 0."""
     split: str
-    """``train``, ``val`` or ``test``."""
+    """Split that the view belongs to: ``train``, ``val`` or ``test``."""
     scene: Scene
-    """Scene with the view's lights and inserted objects."""
+    """Scene to render: the given scene with the view's lights and inserted objects."""
     camera: Camera
     things: tuple[DatasetThing, ...]
     """Labels of all objects, visible or not, in the order of their ids."""

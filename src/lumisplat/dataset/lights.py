@@ -54,7 +54,7 @@ class LightSampler:
 
     @property
     def has_lights(self) -> bool:
-        """True if some view can have a light."""
+        """True if a view may have lights: those of the scene, environments, suns or point lights."""
         return bool(self._scene_lights or self._environments or self._suns[1] or self._config.points[1])
 
     def lights(self, draws: Draws) -> tuple[Light, ...]:
@@ -122,7 +122,7 @@ class LightSampler:
         )
 
     def _light_position(self, draws: Draws) -> Doubles:
-        """Returns a random position for a point light.
+        """Returns a random world-space position for a point light.
 
         If cameras are placed around the scene, the light is above and around the scene; otherwise it is in the upper
         part of the scene's free space.

@@ -30,7 +30,7 @@ _FOOTPRINT = np.array([(0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0
 
 @dataclass(frozen=True, eq=False)
 class Asset:
-    """An object that can be inserted into scenes, in the coordinates of its file."""
+    """An object that can be inserted into the views of a data set, in the coordinates of its file."""
 
     name: str
     """Name of the object's file without its extension."""
@@ -69,7 +69,7 @@ class Asset:
 
 @dataclass(frozen=True, eq=False)
 class PlacedObject:
-    """An object at its position in a scene."""
+    """An object that was inserted into a view, with its position."""
 
     asset: Asset
     world_from_object: Doubles
@@ -98,7 +98,7 @@ class Placement:
 
     placed: tuple[PlacedObject, ...] = ()
     left_out: tuple[str, ...] = ()
-    """Names of objects for which no free position was found."""
+    """Names of objects that could not be inserted, because no free position was found."""
 
 
 class ObjectPlacer:
@@ -170,12 +170,12 @@ class ObjectPlacer:
         return centers[free[0]] if free.size else None
 
     def _scale(self, asset: Asset, draws: Draws) -> float:
-        """Returns the random scale factor of an object."""
+        """Returns a random scale for an object: a factor on its own size, or its size relative to the scene."""
         scale, size = draws.factor(self._config.scale), draws.factor(self._config.size)
         return scale if self._config.own_size else 0.5 * size * self._space.diagonal / asset.radius
 
     def _rotation(self, asset: Asset, draws: Draws) -> Doubles:
-        """Returns the random rotation of an object, shape (3, 3)."""
+        """Returns a random rotation for an object, shape (3, 3): about up, or any if it need not stand upright."""
         u1, u2, u3 = draws.units(3)
         if not self._config.upright:
             return rotation_matrix(uniform_quaternion(u1, u2, u3))

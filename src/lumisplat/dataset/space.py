@@ -69,7 +69,7 @@ def _dot(a: Doubles, b: Doubles) -> Doubles:
 
 
 _SPHERE_RAYS = 32
-"""Number of rays from a point, in all directions, that look for surfaces near the point."""
+"""Number of rays in all directions from a point by which the nearest surface is found."""
 _ACROSS, _DOWN = 16, 12
 """Number of columns and rows of the ray grid that estimates how much of an image shows surfaces."""
 
@@ -122,7 +122,7 @@ class Space:
         return float(np.isfinite(self.depths(origins, directions)).mean())
 
     def is_visible(self, eye: Doubles, point: Doubles, radius: float) -> bool:
-        """Returns whether no surface of the scene lies between an eye and the sphere of ``radius`` around ``point``."""
+        """Returns whether a ray from ``eye`` to ``point`` meets no surface more than ``radius`` before the point."""
         away = point - eye
         distance = float(np.linalg.norm(away))
         return bool(self.depths(eye[None], away[None] / distance)[0] >= distance - radius)

@@ -147,7 +147,7 @@ class DatasetViews:
         write_view(Path(folder), view, frame, self.config, self._id_types)
 
     def _scene(self, placement: Placement, light: Draws) -> Scene:
-        """Returns the scene of a view, with the inserted objects and the view's lights."""
+        """Returns the scene of a view: the given scene with inserted objects and random lights."""
         scene, placed = self.base, placement.placed
         lights = self._light_sampler.lights(light)
         splats = scene.splats
@@ -162,7 +162,7 @@ class DatasetViews:
         )
 
     def _environments(self, scene: Scene) -> list[LightEnvironment]:
-        """Loads the environment files, rotated so that the top of each image is up in the scene."""
+        """Loads the environments that the settings name, rotated so that the top of each image is up in the scene."""
         lights = self.config.lights
         return [
             LightEnvironment(
@@ -291,7 +291,12 @@ def load_dataset_config(path: PathLike) -> DatasetConfig:
 
 
 def _files(table: TomlTable, key: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns the paths that a key lists, relative to the folder of the settings file.
+    """Returns the paths in a list of file names, relative to the folder of the settings file.
+
+    Args:
+        table: Table of the settings file, for messages.
+        key: Key of the list.
+        names: The file names.
 
     Raises:
         FormatError: A file does not exist.

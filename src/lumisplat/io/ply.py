@@ -36,7 +36,7 @@ _SCALAR_TYPES = {
 
 
 _PREFIXES = re.compile(r"(?:scalar_|scal_)+")
-"""Matches the prefixes that CloudCompare adds to the names of scalar fields, again each time that it saves the file."""
+"""Matches ``scalar_`` and ``scal_``, once or repeated, which CloudCompare puts before property names at each save."""
 
 _COLOR_NAMES = (("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 """Triples of property names that some writers use in place of red, green and blue."""
@@ -81,11 +81,11 @@ class PlyHeader:
 
     path: str
     encoding: str
-    """Encoding of the rows, a key of `_ENCODINGS`."""
+    """Encoding of the rows: ``ascii``, ``binary_little_endian`` or ``binary_big_endian``."""
     comments: tuple[str, ...]
     elements: tuple[PlyElement, ...]
     data_offset: int
-    """Number of bytes before the first row."""
+    """Length of the header in bytes; the first row follows it."""
     file_size: int
     """Size of the file in bytes."""
 

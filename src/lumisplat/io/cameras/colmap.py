@@ -26,7 +26,7 @@ _NAMES: tuple[str, ...] = (
     *("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE"),
     *("SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR"),
 )
-"""Names of COLMAP's camera models, by their number."""
+"""Names of COLMAP's camera models; the index in the list is the number that cameras.bin stores."""
 
 _PARAMETERS = {
     "SIMPLE_PINHOLE": "f cx cy",
@@ -49,7 +49,7 @@ _CAMERA = struct.Struct("<iiQQ")
 _POINT_BYTES = 24
 
 _Lens = tuple[str, int, int, list[float]]
-"""A camera of the model: name of its camera model, width, height and parameters."""
+"""Camera model name, width, height and parameters of one camera in the cameras file of a sparse model."""
 
 _POINT = np.dtype([("number", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")])
 """Layout of a point in points3D.bin, without the track that follows the point."""
@@ -178,7 +178,7 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
 
 
 def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
-    """Yields image number, pose, camera number and file name of each image in an images file."""
+    """Yields image number, camera_from_world (rotation wxyz, translation), camera number and name of each image."""
     if path.suffix == ".txt":
         follows = False  # whether 2D points may follow; some programs omit them
         for line in _text_lines(path):

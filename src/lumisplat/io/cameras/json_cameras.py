@@ -73,7 +73,10 @@ def _number(values: Entry, name: str) -> float:
 
 
 def _number_array(values: object, shape: tuple[int, ...], name: str) -> Matrix:
-    """Converts nested lists to an array of the given shape; raises `SceneError` unless all numbers are finite."""
+    """Converts the nested lists of the key ``name`` to an array; raises `SceneError` unless all numbers are finite.
+
+    ``shape`` is the expected shape.
+    """
     array = finite_numbers(values, shape)
     if array is None:
         raise SceneError(f"has {name} {quote(values)}, expected {' x '.join(map(str, shape))} finite numbers")
@@ -201,9 +204,9 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
 
 
 def frame_image(folder: Path, values: Entry) -> Path | None:
-    """Finds the image of a frame in the folder, or else in its ``images`` subfolder; None if there is none.
+    """Returns the image file that ``file_path`` of a frame names, in the folder or else its subfolder ``images``.
 
-    ``file_path`` may lack the extension.
+    ``file_path`` may lack the extension. None if there is no such file.
     """
     stem = str(values.get("file_path", ""))
     candidates = (

@@ -28,9 +28,9 @@ EntryKind = Literal["splats", "meshes", "actors", "lights", "environment"]
 """Kind of an entry: the name of its table in a scene file."""
 
 KINDS: tuple[EntryKind, ...] = ("splats", "meshes", "actors", "lights", "environment")
-"""Entry kinds in the order in which their instances enter the scene."""
+"""Kinds of entries, in the order in which their captures and meshes are added to the scene."""
 _LIGHTS: tuple[EntryKind, ...] = ("lights", "meshes", "splats", "actors", "environment")
-"""Entry kinds in the order in which their lights enter the scene."""
+"""Kinds of entries, in the order in which their lights are added to the scene."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class SceneEntry:
     """Unique id within the document, which edits do not change."""
     kind: EntryKind
     table: Mapping[str, Any]
-    """Keys and values as in a scene file; `SceneDocument.changed` edits them."""
+    """Keys and values of the entry as in a scene file; change them by `SceneDocument.changed`."""
     splats: tuple[SplatInstance, ...] = ()
     meshes: tuple[MeshInstance, ...] = ()
     lights: tuple[Light, ...] = ()
@@ -89,18 +89,18 @@ class SceneEntry:
 
 @dataclass(slots=True)
 class EntryReader:
-    """Reads entries from tables; a file that several entries name is read once."""
+    """Builds the entries of a document from their tables; a file that several entries name is read once."""
 
     file: Path
-    """The scene file, which need not exist. Paths in tables are relative to its folder."""
+    """Path of the scene file, which need not exist yet. Relative paths in tables start from its folder."""
     load: Load
     up: Vector
     materials: Mapping[str, Any]
     """Tables of the named materials, by name."""
     memory: dict[str, Scene] = field(default_factory=dict[str, Scene])
-    """Assets that exist only in memory, by the placeholder path in the entry's table."""
+    """Captures and meshes without a file, by the placeholder that entries give as their ``path``."""
     environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
-    """Environment images by path. Images of scenes that a program made have a placeholder path."""
+    """Environment images by the entry's ``path``, which is a placeholder for images without a file."""
     next_id: int = 0
     """Id for the next entry, larger than the ids of all entries so far, including removed ones."""
     _assets: Assets | None = None
@@ -152,12 +152,12 @@ class EntryReader:
         return replace(self, up=up, _assets=None if self._assets is None else replace(self._assets, up=up))
 
     def part_names(self, entry: SceneEntry) -> list[str]:
-        """Returns the names of the meshes in an entry's file."""
+        """Returns the names of the meshes in the file of a mesh entry."""
         return self.assets.part_names(TomlTable.of(self.file, dict(entry.table), entry.kind))
 
     @property
     def assets(self) -> Assets:
-        """Reader and cache of captures and meshes."""
+        """Loads and caches the captures and meshes that entries name."""
         if self._assets is None:
             named = read_materials(TomlTable.of(self.file, {"materials": dict(self.materials)}))
             self._assets = Assets(self.load, named, self.up, self.memory)

@@ -36,7 +36,7 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 @dataclass(slots=True)
 class MemoryEntries:
-    """Entries of a scene document, made from a scene that a program created."""
+    """Tables of a scene that a program created, and the assets that they refer to by placeholder paths."""
 
     up: Vector
     top: dict[str, Any]
@@ -157,7 +157,7 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
 
 
 def relative_path(path: Path, folder: Path) -> str:
-    """Returns the path of a file relative to a folder, after resolving symbolic links of folders, as ``..`` needs."""
+    """Returns the path of a file relative to a folder; links to folders are resolved first, so that ``..`` is right."""
     file = Path(os.path.realpath(path.parent)) / path.name
     try:
         return Path(os.path.relpath(file, os.path.realpath(folder))).as_posix()
@@ -204,7 +204,7 @@ class _Folder:
     _files: dict[str, Path] = field(default_factory=dict[str, Path])
 
     def written(self, entry: SceneEntry) -> dict[str, Any]:
-        """Writes an entry's asset to a file, and returns the table that refers to the file."""
+        """Writes an entry's capture, mesh or image to a file, and returns the entry's table with the file's path."""
         memory_path = str(entry.table["path"])
         name = memory_path.strip("<>").replace(" ", "_")
         table = dict(entry.table)

@@ -60,7 +60,8 @@ class SceneDocument:
 
     entries: tuple[SceneEntry, ...]
     top: Mapping[str, Any]
-    """Tables of the scene file that are not entries: ``up``, ``render``, ``animation``, ``materials`` and ``cameras``.
+    """Tables of the scene file other than its entries: ``up``, ``render``, ``animation``, ``materials`` and
+    ``cameras``.
     """
     problems: tuple[str, ...] = ()
     """A message for each file or object that could not be read and is left out."""
@@ -120,7 +121,7 @@ class SceneDocument:
 
     @staticmethod
     def kind_of(path: PathLike) -> EntryKind:
-        """Returns the entry kind of a file: ``"splats"`` if it contains only a capture, otherwise ``"meshes"``."""
+        """Returns the kind of entry for a file: ``"splats"`` if it has only a capture, else ``"meshes"``."""
         return _heading_of(Path(path))
 
     # --- Content ---
@@ -161,7 +162,7 @@ class SceneDocument:
 
     @property
     def file(self) -> Path:
-        """The scene file, which need not exist. Paths in tables are relative to its folder."""
+        """Path of the scene file, which need not exist yet. Relative paths in tables start from its folder."""
         return self._reader.file
 
     @property
@@ -175,7 +176,7 @@ class SceneDocument:
 
     @property
     def animation(self) -> Animation | None:
-        """Animation of the scene with its cameras, without hidden entries; None if no object and no camera moves.
+        """Actors and cameras with their timing, without hidden entries; None if no object and no camera moves.
 
         Raises:
             FormatError: ``[animation]`` or a camera is invalid.
@@ -197,18 +198,20 @@ class SceneDocument:
         return read_scene_cameras(TomlTable.of(self.file, dict(self.top)), io.load_cameras)
 
     def part_names(self, number: int) -> list[str]:
-        """Returns the names of the meshes in a mesh entry's file."""
+        """Returns the names of the meshes in the file of the mesh entry ``number``."""
         return self._reader.part_names(self.entry(number))
 
     def material(self, number: int) -> Mapping[str, Any]:
-        """Returns the material table of an entry, or the named material that it refers to; empty without a material."""
+        """Returns the table of an entry's ``material``, inline or from ``[materials]``; empty if it states none."""
         given = self.entry(number).table.get("material", {})
         return self.top.get("materials", {}).get(given, {}) if isinstance(given, str) else given
 
     # --- Edits ---
 
     def changed(self, number: int, **keys: Any) -> SceneDocument:
-        """Sets keys of an entry's table; None removes a key. Arrays and tuples become lists.
+        """Returns a document in which keys of an entry's table have new values; None removes a key.
+
+        Arrays and tuples become lists.
 
         Raises:
             FormatError: The entry would be invalid; the message names the key.
@@ -229,7 +232,7 @@ class SceneDocument:
         return self._with(_read_entry(self._reader, entry.id, entry.kind, table))
 
     def placed(self, number: int, world_from_file: npt.ArrayLike) -> SceneDocument:
-        """Sets the transform of a capture, mesh or actor.
+        """Returns a document in which a capture, mesh or actor has another transform.
 
         Args:
             number: Id of the entry.
@@ -243,7 +246,7 @@ class SceneDocument:
         return self.changed(number, **dict.fromkeys(NAMED_PLACEMENT_KEYS), **placement_table(matrix))
 
     def added(self, kind: EntryKind, table: Mapping[str, Any]) -> tuple[SceneDocument, int]:
-        """Adds an entry, and returns the new document and the entry's id.
+        """Returns a document with one more entry, and the id of that entry.
 
         A mesh or actor without a placement is inserted into the scene upright on the ground, as by `lumisplat.insert`.
 
@@ -272,7 +275,7 @@ class SceneDocument:
         return replace(self, entries=(*self.entries, entry), _scenes={}), number
 
     def duplicated(self, number: int) -> tuple[SceneDocument, int]:
-        """Adds a copy of an entry with the same placement, and returns the new document and the copy's id.
+        """Returns a document with a copy of an entry at the same place, and the copy's id.
 
         Raises:
             ConfigError: The entry is an environment.
@@ -285,12 +288,12 @@ class SceneDocument:
         return self.added(entry.kind, copied)
 
     def removed(self, number: int) -> SceneDocument:
-        """Removes an entry."""
+        """Returns a document without the entry ``number``; this document is unchanged."""
         self.entry(number)
         return replace(self, entries=tuple(entry for entry in self.entries if entry.id != number), _scenes={})
 
     def with_up(self, up: str | npt.ArrayLike) -> SceneDocument:
-        """Sets the up direction.
+        """Returns a document with another up direction.
 
         Meshes and actors that stand upright among captures are rotated about their lowest point to stand upright again.
         An environment image whose top points up is rotated, too. All other entries keep their transform.
@@ -307,7 +310,7 @@ class SceneDocument:
         return replace(self, entries=entries, top=dict(self.top) | {"up": list(now)}, _reader=reader, _scenes={})
 
     def split(self, number: int) -> SceneDocument:
-        """Replaces a mesh entry by one entry for each mesh in its file, and one for each light in its file.
+        """Returns a document with a mesh entry replaced by one entry for each mesh, and for each light, in its file.
 
         Raises:
             SceneError: The file has only one mesh.
@@ -329,11 +332,11 @@ class SceneDocument:
         return document
 
     def with_config(self, config: RenderConfig) -> SceneDocument:
-        """Sets the render settings."""
+        """Returns a document whose ``[render]`` table has these settings; this document is unchanged."""
         return replace(self, top=dict(self.top) | {"render": changed_settings(config)})
 
     def with_animation(self, **keys: Any) -> SceneDocument:
-        """Sets keys of ``[animation]``; None removes a key.
+        """Returns a document in which keys of ``[animation]`` have new values; None removes a key.
 
         Args:
             **keys: ``fps``, ``duration``, ``frames``, or ``lighting``, an AvatarLightingConfig.
@@ -351,7 +354,7 @@ class SceneDocument:
         return document
 
     def with_cameras(self, cameras: Sequence[Mapping[str, Any]]) -> SceneDocument:
-        """Sets ``[[cameras]]``, given as tables.
+        """Returns a document whose ``[[cameras]]`` are these tables.
 
         Raises:
             FormatError: A camera is invalid.
@@ -431,7 +434,7 @@ _INSERTED_KINDS = ("meshes", "actors")
 _UP_KEYS = ("look_at", "upright", "ground")
 """Placement keys whose meaning depends on the up direction."""
 _UPRIGHT = 1e-4
-"""Largest distance between the unit vectors of an object's y axis and of up at which the object counts as upright."""
+"""Largest distance between an object's unit y axis and the unit up direction at which the object counts as upright."""
 
 
 @dataclass(slots=True)
@@ -439,7 +442,7 @@ class _Listing:
     """Tables of a scene file and of further opened files, from which the entries of a document are read."""
 
     file: Path
-    """The scene file, which need not exist. Paths in tables are relative to its folder."""
+    """Path of the scene file, which need not exist yet. Relative paths in tables start from its folder."""
     top: dict[str, Any] = field(default_factory=dict[str, Any])
     """Tables of the scene file other than entries: ``up``, ``render``, ``animation``, ``materials`` and ``cameras``."""
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
@@ -489,7 +492,7 @@ def _reader_of(listing: _Listing, load: Callable[[Path], Gaussians | Mesh | Scen
 
 
 def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEntry], list[str]]:
-    """Reads the entries of a listing. Returns them, and a message for each entry that cannot be read."""
+    """Reads all tables of a listing. Returns the entries, and a message for each table that cannot be read."""
     entries: dict[int, SceneEntry] = {}
     problems: list[str] = []
     numbered = list(enumerate(listing.tables))

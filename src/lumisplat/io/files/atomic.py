@@ -101,7 +101,7 @@ def check_can_be_written(path: PathLike) -> None:
 
 @contextmanager
 def _folder_of(target: Path) -> Generator[None]:
-    """Creates the missing parent folders of a file; if the block raises, removes new folders that are empty."""
+    """Creates the missing parent folders of a file, and removes those that are still empty if the block raises."""
     missing = [folder for folder in target.parents if not folder.exists()]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

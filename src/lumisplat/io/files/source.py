@@ -40,13 +40,13 @@ PathLike = str | os.PathLike[str]
 _may_leave_folder: ContextVar[bool] = ContextVar("_may_leave_folder", default=False)
 
 STREAMED_SOG = "lod-meta.json"
-"""File that lists the levels and chunks of a streamed SOG."""
+"""Name of the file that lists the levels of detail and the SOG captures of a streamed SOG."""
 BLOCKS = "blocks.json"
-"""File that lists the blocks of a capture stored in blocks."""
+"""Name of the file that lists the blocks of a capture stored in blocks."""
 _IMAGES = ("transforms.json", "transforms_train.json", "images", "sparse")
 """Names of files and folders in a folder of training images, by which an error tells it from a capture."""
 _INNER_LISTED = 8
-"""Largest number of captures in a folder that a message lists."""
+"""Largest number of captures that an error lists about a folder without a capture of its own."""
 
 
 def read_bytes(path: PathLike, *, referrer: PathLike | None = None) -> bytes:
@@ -381,7 +381,7 @@ def read_reference(path: PathLike, name: str, folder: Path | None = None) -> byt
 
 
 def format_of(path: Path) -> str:
-    """Returns the format of an existing file or folder.
+    """Returns the format of an existing file or folder, by which `lumisplat.load` chooses the reader.
 
     The format of a file is its extension. The format of a folder is ``.sog``, `STREAMED_SOG` or `BLOCKS`.
 

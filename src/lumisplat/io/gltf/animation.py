@@ -141,7 +141,7 @@ def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, n
 def _sampler(
     file: GltfFile, animation: pygltflib.Animation, number: int | None, where: str
 ) -> pygltflib.AnimationSampler:
-    """Returns the sampler with the number that a channel states."""
+    """Returns ``animation.samplers[number]``, which a channel refers to, or raises `FormatError` if there is none."""
     samplers: list[pygltflib.AnimationSampler] = animation.samplers or []
     if number is None or number not in range(len(samplers)):
         raise FormatError(file.path, f"{where} refers to samplers[{number}], but there are {len(samplers)}")
@@ -318,7 +318,7 @@ def _morphs(raw: RawPrimitive, node: int, weights: Doubles) -> MorphTargets | No
 
 
 def _surface(file: GltfFile, pieces: list[_RigPrimitive], skeleton: Skeleton, vertex_colors: bool) -> RigSurface:
-    """Joins primitives with the same material and attributes into one surface."""
+    """Joins the primitives ``pieces``, which have the same material and attributes, into one surface of the rig."""
     first = pieces[0].raw
     triangles: list[IntArray] = []
     for raw, part in pieces:
@@ -431,7 +431,10 @@ class _AnimationReader:
         )
 
     def _times(self) -> Doubles:
-        """Returns the sample times in seconds: regular samples, key times, and times around STEP keys."""
+        """Returns the times in seconds at which captures and cameras are sampled: evenly spaced, and at keys.
+
+        A STEP key gets further samples just before and after it, see `_STEP_OFFSETS`.
+        """
         count = round(self._clip.duration * _FPS * _SAMPLES_PER_FRAME)
         if count > ANIMATION_SAMPLES_MAX:
             seconds = ANIMATION_SAMPLES_MAX / (_FPS * _SAMPLES_PER_FRAME)
@@ -497,7 +500,7 @@ class _AnimationReader:
 
 
 def _moved_nodes(file: GltfFile, clip: Clip) -> set[int]:
-    """Returns the nodes whose world transform changes: those that the clip animates and all their descendants."""
+    """Returns the nodes whose world transform an animation changes: those that it moves and their descendants."""
     moved = {track.node for track in clip.tracks if track.channel is not Channel.WEIGHTS}
     tree = hierarchy(file)
     for index in tree.order:  # parents first

@@ -303,7 +303,7 @@ class GltfPrimitive:
         return None if accessor is None else self.file.integers(accessor, kind, f"{self.where} {name}")
 
     def error(self, problem: str) -> FormatError:
-        """Returns an error about this primitive."""
+        """Returns a `FormatError` that names the file and this primitive."""
         return FormatError(self.file.path, f"{self.where} {problem}")
 
     def _accessor(self, name: str) -> int | None:

@@ -55,7 +55,7 @@ Attributes with these names in files of other programs are ignored.
 
 _DISPLAY = ("srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb", "BT.709")
 _LINEAR = ("lin_rec709_display", "BT.709-linear")
-"""Names that files give the linear colour space; all but the first are from drafts of the extension."""
+"""Names of the linear colour space in ``colorSpace``: that of the extension, and others from its drafts."""
 
 _Numbers = dict[tuple[int, bool], str]
 """Number formats that an attribute may have: glTF component type and ``normalized``, each with a name for messages."""
@@ -76,7 +76,7 @@ class _Layout(NamedTuple):
     """Type of the accessor, such as ``"VEC3"``."""
     numbers: _Numbers = {(5126, False): "float32"}  # noqa: RUF012
     drafts: tuple[tuple[int, bool], ...] = ()
-    """Number formats that only drafts of the extension allowed."""
+    """Number formats, as component type and ``normalized``, that are read but that the final extension forbids."""
 
 
 _FLOAT = _Layout("", "").numbers
@@ -145,7 +145,7 @@ def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> 
 
 
 def _check_extension(primitive: GltfPrimitive) -> bool:
-    """Checks the extension's properties, and returns whether the colours are linear."""
+    """Returns whether the colours are linear; raises `FormatError` if a property has an unsupported value."""
     item: Any = primitive.item
     extension: dict[str, Any] = item.extensions[_EXTENSION]
     if primitive.item.mode != 0:
@@ -262,7 +262,7 @@ def _settings(path: PathLike, extras: dict[str, Any] | None) -> dict[str, Any]:
 
 @dataclass(slots=True)
 class GltfCaptures:
-    """Captures of a file. A mesh that several nodes use is read once."""
+    """Reads the captures of a glTF file; a mesh that several nodes use is read once."""
 
     file: GltfFile
     drop_invalid: bool
@@ -341,7 +341,7 @@ class GltfCaptures:
         return SplatInstance(gaussians, world_from_node @ CAPTURE_FROM_FILE, name=name, **settings)
 
     def _stretched_capture(self, gaussians: Gaussians, stretch: Matrix) -> Gaussians:
-        """Returns a copy of a capture stretched by a matrix; equal arguments return the same copy."""
+        """Returns a capture stretched by a matrix, shape (4, 4); calls with equal arguments return the same object."""
         key = (id(gaussians), stretch.tobytes())
         if key not in self._stretched:
             self._stretched_bytes += sum(values.nbytes for values in gaussians.arrays().values())

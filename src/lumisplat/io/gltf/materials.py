@@ -70,7 +70,7 @@ _WITHOUT_EFFECT = (
     "MSFT_lod",  # the finest level is used
     "VRM",
 )
-"""Beginnings of the names of extensions that do not change the image."""
+"""Beginnings of extension names that are not reported as unread, because they do not change the image."""
 
 _Item = dict[str, Any]
 
@@ -141,7 +141,7 @@ def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]
 
 
 def _layers(material: pygltflib.Material) -> dict[str, Any]:
-    """Returns the material fields of KHR_materials_clearcoat and KHR_materials_sheen."""
+    """Returns the clearcoat and sheen fields of a material, from KHR_materials_clearcoat and KHR_materials_sheen."""
     coat, sheen = _extension(material, "clearcoat"), _extension(material, "sheen")
     return {
         "clearcoat": coat.get("clearcoatFactor", 0.0),
@@ -223,7 +223,7 @@ def _label(index: int, material: pygltflib.Material) -> str:
 
 
 class GltfMaterials:
-    """Materials of a file, each decoded once."""
+    """Reads the materials of a glTF file; each is decoded once."""
 
     def __init__(self, file: GltfFile) -> None:
         self._file = file
@@ -434,7 +434,7 @@ class MaterialWriter:
         return extensions
 
     def _simple(self, material: MaterialSimple, textured: bool) -> _Item:
-        """Returns an unlit glTF material if ``material`` only emits its colour, else an approximation of it."""
+        """Returns a `MaterialSimple` as glTF: unlit if it only emits its colour, else an approximation that is lit."""
         surface: _Item = {
             "baseColorFactor": [*material.base_color, material.alpha],
             "baseColorTexture": self._texture(material, "base_color_texture") if textured else None,

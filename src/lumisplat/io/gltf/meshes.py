@@ -109,9 +109,9 @@ def read_meshes(
 
 
 def _morph(raw: RawPrimitive, weights: dict[int, float]) -> tuple[FloatArray, npt.NDArray[np.floating] | None]:
-    """Returns the positions and normals of a primitive after adding its morph targets, each times its weight.
+    """Adds the morph targets of a primitive, each times its weight. Returns positions and normals.
 
-    Normals are None if the primitive has none.
+    Normals are None if the primitive has none. ``weights`` are by target number.
     """
     positions, normals = raw.positions, raw.normals
     for target, offsets in raw.morph_positions.items():
@@ -216,7 +216,7 @@ def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, targets: set[
 
 @dataclass(frozen=True, slots=True)
 class Skin:
-    """A skin with J joints."""
+    """A glTF skin: J joint nodes and their inverse bind matrices."""
 
     joints: tuple[int, ...]
     """Node indices of the joints."""
@@ -286,7 +286,7 @@ def _read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: i
 
 
 def _read_set(primitive: GltfPrimitive, number: int, vertex_count: int) -> Influences | None:
-    """Reads one set of joints and weights without checking its values; None if the primitive has no such set."""
+    """Reads JOINTS_n and WEIGHTS_n of a primitive, n = ``number``, unchecked; None if the primitive lacks them."""
     joints = primitive.integers(f"JOINTS_{number}", "VEC4")
     if joints is None:
         return None

@@ -30,7 +30,7 @@ _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scal
 
 INSTANCING = "EXT_mesh_gpu_instancing"
 _INSTANCE_BYTES = 1024
-"""Approximate memory of one instance in bytes, for the limit on instances."""
+"""Approximate memory of one instance in bytes, to refuse files that ask for far more instances than their size fits."""
 
 
 def node_label(file: GltfFile, index: int) -> str:
@@ -75,7 +75,7 @@ class Hierarchy:
 
 
 def hierarchy(file: GltfFile) -> Hierarchy:
-    """Returns the hierarchy of all nodes, including nodes outside of the scene, which may be joints.
+    """Returns the parent of each node and a parents-first order of all nodes, also of those outside of the scene.
 
     Raises:
         FormatError: A node has two parents, or is its own ancestor.
@@ -98,7 +98,7 @@ def hierarchy(file: GltfFile) -> Hierarchy:
 
 
 def world_transforms(file: GltfFile) -> list[Matrix]:
-    """Returns ``world_from_node`` of all nodes, including nodes outside of the scene, which may be joints.
+    """Returns ``world_from_node``, shape (4, 4), of every node of the file, also of those outside of the scene.
 
     Raises:
         FormatError: A node has two parents, is its own ancestor, or has an invalid transform.
@@ -213,7 +213,7 @@ EXTRAS_KEY = "lumisplat"
 
 _MATERIALS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
 _MESH_ONLY_SUFFIXES = ("_texture", "_wraps", "wrap_u", "wrap_v", "alpha_mode")
-"""Suffixes of material fields that only meshes have, not captures."""
+"""Endings of the names of material fields that apply to meshes only and are not stored for captures."""
 LIGHT_EXTRAS = ("radius", "angle", "casts_shadow", "shadow_distance")
 INSTANCE_EXTRAS = ("sh_degree", "shadow_catcher")
 CAMERA_EXTRAS = ("width", "height", "exposure", "aperture", "focus_distance")
@@ -287,7 +287,7 @@ def _known_settings(stored: dict[str, Any] | None, names: Iterable[str]) -> dict
 
 
 def _non_default_fields(item: Any, names: Iterable[str]) -> dict[str, Any]:
-    """Returns the named fields that differ from their defaults, as JSON values."""
+    """Returns those fields of ``item`` in ``names`` that differ from their defaults, as JSON values by name."""
     selected = set(names)
     values = {field: getattr(item, field.name) for field in fields(item) if field.name in selected}
     return {

@@ -53,8 +53,7 @@ _READABLE = (
     "KHR_node_visibility",
     INSTANCING,
 )
-"""Extensions that a file may require. Material extensions may also be required: they only change the look of surfaces.
-"""
+"""Extensions that a file may list as required; material extensions may be required, too, even if not supported."""
 
 _ORTHOGONAL = 1e-6
 """Absolute cosine of the angle between two axes of a transform up to which it has no shear, which glTF cannot store."""
@@ -141,7 +140,7 @@ def holds_one_capture(path: PathLike) -> bool:
 
 
 def _has_settings(file: GltfFile, nodes: Iterable[int]) -> bool:
-    """Returns whether the extras of a node set a material, SH degree or shadow catcher flag for the node's capture."""
+    """Returns whether any of the nodes has a material, SH degree or shadow catcher flag for its capture in extras."""
     return any(instance_settings(lumisplat_extras(file.model.nodes[index])) for index in nodes)
 
 
@@ -272,7 +271,7 @@ def _shears(matrix: Matrix) -> bool:
 
 
 def _capture_losses(splats: Sequence[SplatInstance]) -> list[str]:
-    """Returns a phrase for each feature of the captures that programs other than Lumisplat do not read."""
+    """Returns a phrase for each capture feature that is written to extras, so that other programs do not read it."""
     relit = sum(splat.material is not None for splat in splats)
     flagged = sum(splat.gaussians.antialiased for splat in splats)
     incident = any(splat.gaussians.incident is not None for splat in splats)
@@ -298,7 +297,7 @@ def _material_losses(materials: MaterialWriter) -> list[str]:
 
 
 def _light_losses(lights: Sequence[Light]) -> list[str]:
-    """Returns a phrase for each kind of light that glTF cannot store."""
+    """Returns a phrase for each kind of light that is not written: area lights, environments and disabled lights."""
     on = [light for light in lights if light.enabled]
     flat = [light.name or f"a {light.kind}" for light in on if isinstance(light, FlatLight)]
     environments = [light for light in on if isinstance(light, LightEnvironment)]

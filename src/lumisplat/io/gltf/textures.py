@@ -34,7 +34,7 @@ the first texture that its material has."""
 
 
 _GLOSSINESS_NAMES = {"baseColorTexture": "diffuseTexture", "metallicRoughnessTexture": "specularGlossinessTexture"}
-"""Texture of KHR_materials_pbrSpecularGlossiness that replaces each metallic-roughness texture, by glTF names."""
+"""glTF names of the two metallic-roughness textures, each with the specular-glossiness texture that replaces it."""
 
 _WRAPS = {10497: TextureWrap.REPEAT, 33071: TextureWrap.CLAMP, 33648: TextureWrap.MIRROR}
 """Wrap modes by the numbers that glTF takes from OpenGL."""
@@ -70,11 +70,12 @@ class Textures(NamedTuple):
     """Textures of one material, all with the texture coordinates of its first texture."""
 
     uv_transform: UvTransform
-    """Texture coordinates of all textures in ``indices``."""
+    """Texture coordinates of the material's first texture, which all textures in ``indices`` have."""
     indices: dict[str, int]
-    """Index of each texture in the file, by Lumisplat's name of the texture."""
+    """Index of each texture in the file's ``textures``, by the name of the material field, such as ``normal_texture``.
+    """
     left_out: list[str]
-    """glTF names of textures that are dropped because their coordinates differ from ``uv_transform``."""
+    """glTF names of textures that are not read, because they have other texture coordinates than the first texture."""
 
     def wraps(self, file: GltfFile, referrer: str) -> dict[str, WrapPair]:
         """Returns the wrap modes along u and v of each texture, by Lumisplat's names.
@@ -176,7 +177,7 @@ def texture_extension(texture: pygltflib.Texture) -> str | None:
 
 
 class GltfTexels:
-    """Texels of a file's textures. Each image is decoded once."""
+    """Decodes the images of a glTF file to texels; each image is decoded once."""
 
     def __init__(self, file: GltfFile) -> None:
         self._file = file

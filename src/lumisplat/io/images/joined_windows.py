@@ -37,7 +37,7 @@ _Bytes = npt.NDArray[np.uint8]
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOR_TYPES = {3: 2, 4: 6}
-"""PNG colour type by number of channels: 3 for RGB, 4 for RGBA."""
+"""PNG's code for the colour type by number of channels: 3 (RGB) or 4 (RGBA)."""
 _FILTERS = (1, 2, 4)
 """PNG filters that are tried for each row: Sub, Up and Paeth."""
 
@@ -74,7 +74,7 @@ class ExrRows:
             self._file.write(struct.pack(f"<{len(self._offsets)}Q", *self._offsets))
 
     def write(self, rows: Rows) -> None:
-        """Writes the next rows."""
+        """Writes the next rows of the image; they are compressed in groups of 16."""
         planes = [np.ascontiguousarray(rows[name], _KINDS[kind][1]) for name, kind in self._kinds.items()]
         for row in zip(*planes, strict=True):
             self._waiting.append(b"".join(plane.tobytes() for plane in row))
@@ -152,7 +152,7 @@ class PngRows:
             self._chunk(b"IEND", b"")
 
     def write(self, pixels: _Bytes) -> None:
-        """Writes the next rows, shape (rows, width, channels)."""
+        """Writes the next rows of the image, shape (rows, width, channels)."""
         rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
         packed = bytearray()
         for row in rows:

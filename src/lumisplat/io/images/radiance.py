@@ -31,7 +31,7 @@ _MAGIC = b"#?"
 
 _HEADER_BYTES_MAX = 2**16
 _ENCODED_WIDTHS = range(8, 2**15)
-"""Image widths for which the newer run-length encoding is defined."""
+"""Widths of Radiance HDR images whose rows may have the newer run-length encoding; other rows are stored unencoded."""
 
 LINEAR = (".exr", ".hdr", ".pic")
 """Extensions of image files that hold linear radiance."""
@@ -102,7 +102,7 @@ class _Header(NamedTuple):
     width: int
     height: int
     exposure: npt.NDArray[np.float64]
-    """Factor of each channel by which the stored pixels were multiplied, shape (3,)."""
+    """Product of the header's exposures and colour corrections, by which pixels are divided, shape (3,)."""
     size: int
     """Length of the header, bytes."""
 
@@ -165,7 +165,7 @@ def _read_header(path: PathLike, data: bytes) -> _Header:
 
 
 def _positive_numbers(text: str) -> list[float]:
-    """Parses the numbers of a header line; an empty list if any of them is not a positive number."""
+    """Returns the numbers in a header line; an empty list unless all are positive numbers."""
     try:
         numbers = [float(word) for word in text.split()]
     except ValueError:

@@ -30,7 +30,7 @@ _PALETTE_PIXELS = 100_000
 _VIDEO_FPS_MAX = 240.0
 """Largest frames per second of a video, which H.264 level 5.1 allows at common sizes."""
 _FPS_DENOMINATOR = 1001
-"""Largest denominator of frame rates, so that 24, 12.5 and 30000/1001 are exact."""
+"""Largest denominator to which frame rates are rounded as fractions: 24, 12.5 and 30000/1001 stay exact."""
 _QUALITY = {"crf": "16", "preset": "medium"}
 """x264 options. At constant rate factor 16, compression is hardly visible; x264's default is 23."""
 _BT709 = 1

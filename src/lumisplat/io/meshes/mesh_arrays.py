@@ -23,7 +23,7 @@ _log = logging.getLogger("lumisplat")
 
 
 _UNIT_ERROR = 1e-6
-"""Largest deviation from length 1 of a normal that `Mesh` accepts."""
+"""Deviation from length 1 up to which a stored normal is used unchanged; others are normalized."""
 
 
 @dataclass(slots=True)

@@ -40,10 +40,10 @@ _Corner = tuple[int, int, int]
 
 @dataclass(slots=True)
 class _Faces:
-    """Faces with the same material."""
+    """Faces of an OBJ file that use one material."""
 
     counts: list[int] = field(default_factory=list[int])
-    """Number of corners of each face."""
+    """Number of corners of each face, in file order."""
     corners: list[_Corner] = field(default_factory=list[_Corner])
     """Corners of all faces, concatenated."""
 

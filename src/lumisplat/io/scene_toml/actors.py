@@ -168,7 +168,7 @@ def _motion(table: TomlTable) -> Keyframes | None:
 
 @dataclass(slots=True)
 class Subjects:
-    """Loads the files of actors in the requested form (Gaussians, mesh, rig or sequence), and caches the results."""
+    """Loads the files of actors as Gaussians, mesh, rig or sequence, and caches them by file and form."""
 
     load: Load
     _subjects: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])

@@ -116,7 +116,7 @@ ENTRY_KEYS = {
 """Allowed keys of ``[[splats]]`` and ``[[meshes]]`` entries, by heading."""
 
 _CHANGES = ("kernel_degree", "crease_angle_degrees", "crop_low", "crop_high")
-"""Keys of an entry that change the loaded asset; placement and material are not among them."""
+"""Keys of an entry that change the loaded capture or mesh itself, unlike its placement and material."""
 
 _Key = tuple[str, ...]
 
@@ -148,7 +148,7 @@ class PlacedEntry:
     meshes: tuple[MeshInstance, ...] = ()
     lights: tuple[Light, ...] = ()
     world_from_file: Doubles = field(default_factory=lambda: np.eye(4))
-    """Placement of the entry, a similarity transform, shape (4, 4)."""
+    """Transform from the coordinates of the entry's file to the world, a similarity, shape (4, 4)."""
     assets: tuple[Scene, ...] = ()
     """The asset of the entry as loaded from its file, then with crop box and other changes, then with its material.
 
@@ -167,7 +167,7 @@ class Assets:
     up: Vector
     """Unit vector that points up in the scene."""
     memory: Mapping[str, Scene] = field(default_factory=dict[str, Scene])
-    """In-memory assets, by the placeholder that entries give as their ``path``."""
+    """Captures and meshes without a file, by the placeholder that entries give as their ``path``."""
     _cache: WeakValueDictionary[_Key, Scene] = field(default_factory=WeakValueDictionary[_Key, Scene])
     """Loaded and changed assets, weakly referenced; a key has the file, the entry's changes and its material."""
 
@@ -233,7 +233,7 @@ class Assets:
         return _mesh_names(self._assets(table, "meshes", table.values)[-1])
 
     def _part(self, table: TomlTable, given: Values, scene: Scene) -> Scene:
-        """Returns the single mesh that ``part`` names, without lights, or the whole scene if there is no ``part``."""
+        """Returns only the mesh that the key ``part`` names, without lights; without the key, the whole file."""
         part = given.get("part")
         if part is None:
             return scene

@@ -95,7 +95,7 @@ class LoadCameras(Protocol):
     """Signature of `lumisplat.io.load_cameras`. Width and height apply to frames for which the file states no size."""
 
     def __call__(self, path: Path, /, *, width: int | None, height: int | None) -> list[Camera]:
-        """Reads the cameras of a file."""
+        """Reads the cameras of a file; ``width`` and ``height`` in pixels are for frames without a stated size."""
         ...
 
 

@@ -64,7 +64,7 @@ _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 def _is_saved(document: TomlTable) -> bool:
-    """Returns whether a program wrote the scene file: its ``up`` then has length 1 to the last digit."""
+    """Returns whether a program wrote the scene file: ``up`` is then three floats of length 1 to the last digit."""
     up: Any = document.values.get("up")
     is_written = VECTOR.accepts(up) and all(isinstance(value, float) for value in up)
     return is_written and abs(float(np.linalg.norm(up)) - 1.0) <= _ROUNDING
@@ -303,15 +303,15 @@ def _may_be_direction(value: object) -> bool:
 
 
 DIRECTION = Kind("the name of an axis, such as y-down, or three numbers", _may_be_direction)
-"""Kind of a key whose value is a direction: an axis name or a vector."""
+"""Expected value of a key that gives a direction: an axis name such as ``y-down``, or three numbers."""
 UP = DIRECTION.about(
     'Up direction of the scene, such as `"y-down"` or `"z-up"`. Default: that of the first capture that states one, '
     "else y down with captures, y up without."
 )
-"""Kind of the key ``up`` at the top of a scene file."""
+"""Expected value of the key ``up`` at the top of a scene file: an axis name or three numbers."""
 
 _CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".json", "")
-"""File extensions of captures. ``.json`` is an unpacked SOG; a folder of frames has no extension."""
+"""File extensions that may be captures; ``.json`` is the meta.json of a SOG, and folders have no extension."""
 
 
 def scene_up(document: TomlTable) -> Vector:

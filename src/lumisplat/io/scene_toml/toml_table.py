@@ -166,7 +166,7 @@ class Kind(NamedTuple):
     accepts: Callable[[object], bool]
     """Function that returns whether a value has this type."""
     help: str = ""
-    """Meaning of the key that has this kind, in one line for docs/scene_file.md."""
+    """Meaning of a key with this type, one line for docs/scene_file.md."""
 
     def about(self, text: str) -> Kind:
         """Returns this kind with ``text`` as its help text."""
@@ -228,7 +228,7 @@ TEXT_OR_TABLE = Kind("a name or a table", _is_instance(str | dict))
 
 
 class _Source(NamedTuple):
-    """File that a table was read from."""
+    """File of a table: its path, its text and the counter of its textures."""
 
     path: Path
     text: str
@@ -288,12 +288,12 @@ class TomlTable:
 
     @property
     def path(self) -> Path:
-        """Path of the file."""
+        """Path of the file that the table belongs to."""
         return self._source.path
 
     @property
     def textures(self) -> TextureBytes:
-        """Running total of the texture sizes of this file, which limits their memory together."""
+        """Counter of the bytes of all textures that this file names, which limits their total."""
         return self._source.textures
 
     @property
@@ -434,7 +434,8 @@ _FIELD_KINDS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
 """TOML types of two fields that their Python type does not tell. Other such fields are images, given by file name."""
 
 DEGREES = "_degrees"
-"""Suffix of the keys for angles: the value of the key is in degrees, that of the dataclass field in radians."""
+"""Ending of the keys of angles: the key is in degrees, the dataclass field of that name without the ending in radians.
+"""
 
 
 def key_of(field: Setting | Field[Any]) -> str:
@@ -443,7 +444,7 @@ def key_of(field: Setting | Field[Any]) -> str:
 
 
 def schema(kind: type) -> dict[str, Kind]:
-    """Returns the scene file keys of a scene dataclass, with their kinds."""
+    """Returns the keys of a scene file table for a scene dataclass, each with its expected type."""
     return {key_of(one): _KINDS.get(one.kind, _FIELD_KINDS.get(one.name, TEXT)) for one in settings_of(kind)}
 
 

@@ -59,7 +59,7 @@ class MaterialColumns:
     """Names and encodings of the columns in which one trainer stores normals and materials."""
 
     properties: Mapping[str, tuple[str, ...]]
-    """PLY properties that store each field, in order."""
+    """Names of the PLY properties that store each field, in the order of its components."""
     sigmoids: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Factor and offset of each sigmoid-encoded field: value = factor * sigmoid(stored) + offset. Other fields are
     stored directly."""
@@ -100,7 +100,7 @@ LINEAR = MaterialColumns(
         "metallic": ("metallic",),
     }
 )
-"""Columns of Lumisplat, which store all fields directly."""
+"""PLY columns of Lumisplat: normals, albedo, roughness and metallic as plain values, without a sigmoid."""
 
 R3DG = MaterialColumns(
     {
@@ -158,7 +158,7 @@ class SplatColumns:
     """Natural logarithms of the standard deviations if ``scales_are_logarithms``, else standard deviations, shape (N,
     3)."""
     opacities: Floats
-    """Logits if ``opacities_are_logits``, else opacities in 0..1, shape (N,)."""
+    """Logits of the opacities if ``opacities_are_logits``, else opacities in 0..1, shape (N,)."""
     sh: Floats
     """K SH coefficients per Gaussian, DC first, shape (N, K, 3)."""
     normals: Floats | None = None
@@ -220,7 +220,7 @@ LOGITS_COMMENT = "lumisplat logits"
 """Lumisplat's PLY comment: scales are logarithms and opacities logits, even if their values look like the opposite."""
 
 _PROBLEMS_LISTED = 6
-"""Largest number of properties with invalid values that an error lists, before "and more"."""
+"""Largest number of PLY properties that an error about NaN and other invalid values lists."""
 
 
 def sh_names(prefix: str, coefficients: int) -> list[str]:

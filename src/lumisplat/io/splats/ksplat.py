@@ -58,7 +58,7 @@ SH coefficient, which only compression level 2 uses.
 """
 _HEADER_BYTES, _SECTION_BYTES = 4096, 1024
 _SECTION = struct.Struct("<4x3If4xI4x2IH")
-"""Fields of `_Section`, in order."""
+"""Layout of a section header, with the fields of `_Section` in order."""
 _BUCKET_BYTES = 12
 
 _COMPONENTS = (0, 9, 24)
@@ -80,17 +80,17 @@ class _File(NamedTuple):
 
 
 class _Section(NamedTuple):
-    """Header of one section."""
+    """Header of one section of a ``.ksplat`` file. Its Gaussians are grouped in buckets, cubes of space."""
 
     gaussians: int
     bucket_size: int
-    """Number of Gaussians in a full bucket."""
+    """Number of Gaussians in a full bucket, a cube of space."""
     bucket_count: int
     block_size: float
     """Edge length of the cube that a bucket covers, scene units."""
     scale_range: int
     full_count: int
-    """Number of full buckets."""
+    """Number of buckets, cubes of space, that hold ``bucket_size`` Gaussians."""
     partial_count: int
     degree: int
 
@@ -161,7 +161,7 @@ def _read_section(file: _File, start: int, head: _Section) -> tuple[SplatColumns
 
 
 def _row(level: int, degree: int) -> np.dtype[np.void]:
-    """Returns the data type of the row that stores a Gaussian at a compression level and an SH degree."""
+    """Returns the NumPy type of a stored Gaussian, for a compression level and an SH degree."""
     number, position, sh = (("<f4", "<f4", "<f4"), ("<f2", "<u2", "<f2"), ("<f2", "<u2", "u1"))[level]
     return np.dtype(
         [
@@ -175,7 +175,7 @@ def _row(level: int, degree: int) -> np.dtype[np.void]:
 
 
 def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
-    """Returns the centre of the bucket of each of N Gaussians, shape (N, 3)."""
+    """Returns the centre of the bucket of each of N Gaussians, shape (N, 3); stored positions are relative to it."""
     lengths = np.frombuffer(file.data, "<u4", head.partial_count, start).astype(np.int64)
     full = head.full_count * head.bucket_size
     if head.full_count + head.partial_count != head.bucket_count or full + int(lengths.sum()) != head.gaussians:

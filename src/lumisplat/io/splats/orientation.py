@@ -44,7 +44,7 @@ class Orientation(NamedTuple):
 
 
 UNSTATED = Orientation()
-"""Orientation of a file that states neither up direction nor first view."""
+"""Orientation of a capture whose file states neither an up direction nor a first view: both None."""
 
 
 def orientation_values(up: Vector | None, view: Camera | None) -> dict[str, Any]:

@@ -47,7 +47,7 @@ from lumisplat.scene.ops.neighbours import morton_order
 _log = logging.getLogger("lumisplat")
 
 _ENTRIES = 256
-"""Number of entries in a codebook, one for each value of a byte."""
+"""Number of entries in a codebook, 256: files store the index of an entry as one byte."""
 
 _LLOYD_STEPS = 50
 
@@ -107,7 +107,7 @@ def fit_codebook(values: Floats) -> npt.NDArray[np.float32]:
 
 
 def encode(values: Floats, codebook: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    """Returns the index of the nearest codebook entry for each number."""
+    """Returns the index of the nearest entry of a codebook, which ascends, for each number in ``values``."""
     borders = 0.5 * (codebook[:-1].astype(np.float64) + codebook[1:])
     return np.searchsorted(borders, values, side="left").astype(np.uint8)
 

@@ -45,8 +45,9 @@ _FRACTIONAL_BITS_MAX = 24
 _HEADER = struct.Struct("<IIIBBBB")
 
 _COLOR_SCALE = 0.15
-"""Factor of the DC coefficient in a colour byte, 255 (0.5 + 0.15 DC). It covers more than colours of 0..1, so that
-hardly any coefficient is clipped."""
+"""Factor of a degree 0 SH coefficient c in a colour byte, 255 (0.5 + 0.15 c).
+
+Bytes thus cover more than colours of 0..1, so that hardly any coefficient is clipped."""
 _DC_MAX = 0.5 / _COLOR_SCALE
 """Largest magnitude of a DC coefficient that SPZ can store."""
 

@@ -197,7 +197,7 @@ class _OpenCaptures:
         self._open = [_OpenCapture(f"{level}_0") for level in range(levels)]
         self._number = [0] * levels
         self.names: list[str] = []
-        """Paths of all captures, in the order of their indices in the tree."""
+        """Paths of the SOG captures so far; leaves of the tree refer to a capture by its index in this list."""
         self.counts = [0] * levels
         """Number of Gaussians added so far to each level of detail."""
         self.coarse: tuple[int, float] = (0, 0.0)
@@ -283,7 +283,13 @@ def level_count(count: int) -> int:
 
 
 def _node(captures: _OpenCaptures, gaussians: Gaussians, levels: int) -> dict[str, Any]:
-    """Builds a node of the tree and the nodes below it, and appends the Gaussians of their leaves to the captures."""
+    """Returns a node of the tree as JSON, and appends the Gaussians of the leaves below it to the open captures.
+
+    Args:
+        captures: The captures being written.
+        gaussians: Gaussians of the node.
+        levels: Number of levels of detail.
+    """
     low, high = gaussians.bounds()
     axis = int((high - low).argmax())
     most = SOG_LEAF_MIN if high[axis] - low[axis] > SOG_CHUNK_EXTENT else SOG_CHUNK_COUNT

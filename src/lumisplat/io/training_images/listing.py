@@ -37,7 +37,7 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 """File extensions of images and masks."""
 
 _MASK_ENDINGS = (".mask", "_mask", "-mask")
-"""Endings of a file name without extension that mark the file as a mask."""
+"""Endings of mask file names before the extension, such as ``_mask`` in ``1_mask.png``."""
 
 _NAMES_LISTED = 3
 """Largest number of file names that a message lists."""

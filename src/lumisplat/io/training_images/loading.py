@@ -164,7 +164,7 @@ class TrainingImage:
 
 @dataclass(frozen=True, slots=True)
 class ReadFrom:
-    """Arguments with which `load_training_images` loads the same images again."""
+    """Arguments of the call of `load_training_images` that loaded a set of images, to load them again."""
 
     folder: Path
     """Absolute path of the folder."""
@@ -225,7 +225,7 @@ class _FolderContents:
     """What a folder of training images lists: images to train with, held-out images and a point cloud."""
 
     file: Path
-    """The file, or the folder of the COLMAP model, that lists the images."""
+    """The ``transforms.json``, or the folder of the COLMAP model, that lists the images."""
     images: list[ListedImage]
     held_out: list[ListedImage] | None = None
     """Images that the folder's files declare as held out; None if the files define no split."""
@@ -453,8 +453,7 @@ def _scaled(camera: Camera, scale: float) -> Camera:
 Plane = npt.NDArray[np.uint8]
 
 _COVERAGE_MIN = 1e-3
-"""Unmasked fraction of a pixel's area below which the pixel counts as fully masked: smaller fractions are rounding
-errors."""
+"""Fraction of a downscaled pixel's area that must be unmasked for the pixel to count; less is rounding error."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -470,7 +469,7 @@ class Pixels:
 
     @property
     def size(self) -> int:
-        """Memory of all planes, bytes."""
+        """Memory of colour, alpha and mask together, bytes."""
         return sum(plane.nbytes for plane in (self.color, self.alpha, self.mask) if plane is not None)
 
 
@@ -557,7 +556,7 @@ class ImageSource:
     image: Path
     mask: Path | None = None
     straightens: bool = True
-    """Whether a distorted or fisheye lens is resampled to a pinhole."""
+    """Whether to resample a distorted or fisheye image to a pinhole."""
 
 
 def decode(source: ImageSource) -> Pixels:

@@ -36,8 +36,7 @@ docs/adr/0056-video-poses-with-few-features-and-one-lens.md states what more fea
 """
 
 COMPARED_PIXELS = 1000
-"""Longer side, in pixels, to which images are downscaled for feature extraction. More pixels cost time and add
-nothing."""
+"""Longer side in pixels to which images are reduced for feature extraction; more would only take longer."""
 
 DOUBLED_PIXELS = 800
 """Longer image side, in pixels, up to which an image is upsampled to twice its size for feature extraction.
@@ -98,7 +97,7 @@ _INTERRUPT_POLL_S = 0.2
 """Seconds between two checks for Ctrl C while a COLMAP step runs."""
 
 _WORK = "poses.unfinished"
-"""Name of the work folder, which is removed once poses are found."""
+"""Name of the folder with COLMAP's intermediate results, which is removed once poses are found."""
 
 
 def compared_pairs(
@@ -184,11 +183,11 @@ class ColmapRun:
 
     pycolmap: Any
     images: Path
-    """Folder of the images."""
+    """Folder of the images whose poses are estimated."""
     names: Sequence[str]
     """File names of the images, sorted."""
     work: Path
-    """Work folder; created by `prepare`."""
+    """Folder of COLMAP's database and intermediate results; created by `prepare`."""
     report: Progress
 
     @property
@@ -350,9 +349,9 @@ class PoseReport:
     """Figures about a COLMAP reconstruction from which wrong poses are recognised."""
 
     names: Sequence[str]
-    """Names of all images."""
+    """File names of all images, with and without a pose."""
     with_pose: Sequence[str]
-    """Names of the images with a pose, sorted."""
+    """File names of the images for which COLMAP found a pose, sorted."""
     model_sizes: Sequence[int]
     """Number of images in the chosen model, then in each other model, not counting images of the chosen one.
 

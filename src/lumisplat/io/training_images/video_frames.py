@@ -166,7 +166,10 @@ class _FrameCheck:
 
 
 def sharpness(image: Image.Image) -> float:
-    """Returns the variance of the Laplacian of the grey values (Pech-Pacheco et al. 2000), at `_COMPARED_SIZE`."""
+    """Returns the sharpness of an image: the variance of the Laplacian of its grey values at `_COMPARED_SIZE`.
+
+    See Pech-Pacheco et al. 2000.
+    """
     small = image.convert("L")
     small.thumbnail((_COMPARED_SIZE, _COMPARED_SIZE), Image.Resampling.BOX)
     grey = np.asarray(small, np.float32)

@@ -194,7 +194,14 @@ def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tupl
 
 
 def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) -> CameraPath | None:
-    """Returns the path of the first animated camera, with a keyframe at each time sample; None if none moves."""
+    """Returns the path of the first camera in ``moving``, with a keyframe at each time sample; None if there is none.
+
+    Args:
+        file: The open file.
+        moving: Camera prims whose transform has time samples.
+        first: Time code of time 0.
+        rate: Time codes per second.
+    """
     if not moving:
         return None
     px, codes, at_start = pxr(), _transform_time_codes(moving[0]), file.time

@@ -60,8 +60,9 @@ _UNREAD_INPUTS = {
     "inputs:specular": ("diffuse and specular multipliers of lights", 1.0),
     "inputs:shaping:focus": ("shaping:focus of lights", 0.0),
 }
-"""Remark to log, and neutral value, of each light input that Lumisplat does not read. An input with its neutral value
-has no effect and is not reported."""
+"""Light inputs that Lumisplat does not read, each with a remark and the value at which the input has no effect.
+
+The remark is logged if an input has another value."""
 _SOFTNESS_MIN = 1e-6
 """Smallest softness of a spot: the width of its edge as a fraction of the cone angle. 0 would make a hard edge."""
 
@@ -119,7 +120,7 @@ def _custom_fields(light: Light, custom_data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _emission(file: UsdFile, prim: Any) -> float:
-    """Returns intensity times 2^exposure of a light: its radiance in nits, unless the light is normalized."""
+    """Returns intensity times 2^exposure of a light: nits, or, if the light is normalized, nits times its area."""
     default = 50000.0 if str(prim.GetTypeName()) == "DistantLight" else 1.0
     exposure = np.clip(number(file, prim, "inputs:exposure", 0.0), -126.0, 126.0)
     return number(file, prim, "inputs:intensity", default) * 2.0 ** float(exposure)
@@ -297,7 +298,7 @@ def _nearest_rotation(linear: Doubles) -> Doubles:
 
 
 def _environment_image(file: UsdFile, asset: Any, label: str) -> FloatArray:
-    """Reads the image of a dome light as linear radiance, shape (H, W, 3)."""
+    """Reads the image of a dome light as linear radiance, shape (H, W, 3); ``label`` names the light in errors."""
     name, data = asset_name(asset), asset_bytes(file, asset, label)
     if Path(name).suffix.lower() not in _RADIANCE:
         texels = decode_texture(data, file.path, name)[:, :, :3]

@@ -50,7 +50,7 @@ class UvTransform(NamedTuple):
     translation: tuple[float, float] = (0.0, 0.0)
 
     def apply(self, uvs: FloatArray) -> FloatArray:
-        """Returns the transformed texture coordinates of V vertices, shape (V, 2), with v up as before."""
+        """Returns the texture coordinates of V vertices, scaled, rotated and translated, shape (V, 2); v points up."""
         if self == UvTransform(self.primvar):
             return uvs
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
@@ -129,7 +129,7 @@ def _surface_of(file: UsdFile, material: Any, remark: bool) -> _PreviewSurface |
 
 
 def _read_input(file: UsdFile, given: Any) -> _ShaderInput:
-    """Follows an input's connection to a constant, a UsdUVTexture or a primvar reader."""
+    """Returns the source of a shader input: its constant, or the UsdUVTexture or primvar reader connected to it."""
     px = pxr()
     if not given:
         return _ShaderInput()
@@ -211,14 +211,15 @@ _UNSUPPORTED_FIELDS = {
     "transmission_texture": ("transmission textures", None),
     "priority": ("priorities of overlapping media", 0),
 }
-"""Remark to log, and neutral value, of each material field that UsdPreviewSurface lacks. A field with its neutral
-value has no effect and is not reported."""
+"""Material fields that UsdPreviewSurface lacks, each with a remark and the value at which the field has no effect.
+
+The remark is logged if a field has another value."""
 
 _Key = tuple[int, bool]
 
 
 class ReadMaterial(NamedTuple):
-    """A material with the primvars that a mesh needs for it."""
+    """A material, and the names of the mesh primvars that it takes texture coordinates and colour from."""
 
     material: MaterialPbr
     uv_transform: UvTransform = UvTransform()
@@ -228,7 +229,7 @@ class ReadMaterial(NamedTuple):
 
 
 class UsdMaterials:
-    """Materials of a file, each decoded once.
+    """Reads the materials of a USD file; each is decoded once.
 
     Args:
         file: The open file.

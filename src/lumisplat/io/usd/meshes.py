@@ -42,7 +42,7 @@ class Polygons:
     """Polygons of a mesh with their attributes: V vertices, P faces and, over all faces, C corners."""
 
     path: object
-    """File that holds the mesh, named in error messages."""
+    """Path of the file that holds the mesh, for error messages."""
     label: str
     positions: FloatArray
     """Vertex positions, shape (V, 3)."""
@@ -228,7 +228,7 @@ class UsdMeshes:
         return drop_textures_without_uvs(file.path, mesh)
 
     def _shape(self, placed: PlacedPrim, read: ReadMaterial | None) -> Mesh:
-        """Returns a cube, sphere or plane prim as a mesh."""
+        """Returns a cube, sphere or plane prim as a mesh with the material ``read``."""
         file, prim = self._file, placed.prim
         material = MaterialPbr(base_color=(GREY,) * 3) if read is None else self._materials.sided(read.material, prim)
         match str(prim.GetTypeName()):
@@ -260,7 +260,14 @@ def _normals(file: UsdFile, prim: Any) -> Attribute | None:
 
 
 def _primvar(file: UsdFile, prim: Any, name: str, columns: int) -> Attribute | None:
-    """Returns a primvar with its indices resolved; None if the mesh does not have it."""
+    """Returns a primvar of a mesh, or one inherited from its ancestors, with indices resolved; None if there is none.
+
+    Args:
+        file: The open file.
+        prim: The mesh prim.
+        name: Name of the primvar.
+        columns: Numbers per value.
+    """
     primvar = pxr().UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         return None

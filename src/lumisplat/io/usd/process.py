@@ -32,8 +32,9 @@ from lumisplat.errors import FormatError, LumisplatError, MissingExtraError
 from lumisplat.io.files.source import PathLike, check_regular, leaves_folder, may_leave_folder, references_outside
 
 USD_MEMORY = 3 * 2**28
-"""Memory limit of the child for an empty file, bytes; `USD_MEMORY_PER_BYTE` adds to it. The library and Warp take 0.2
-GB."""
+"""Memory in bytes that a child may take to read a file of 0 bytes; `USD_MEMORY_PER_BYTE` adds to it.
+
+The library and Warp take 0.2 GB."""
 
 USD_ASSETS_MEMORY = 2 * 2**30
 """Bytes added to the memory limit once, at a file's first texture. `TEXTURE_BYTES_FREE` limits decoded textures
@@ -44,15 +45,16 @@ USD_MEMORY_PER_BYTE = 40
 the library holds three copies of them."""
 
 USD_CPU_SECONDS = 30
-"""Limit on the child's processor time for an empty file, seconds; `USD_CPU_SECONDS_PER_MEGABYTE` adds to it. A crafted
-file with references nested 16 deep took minutes."""
+"""Processor time in seconds that a child may take for a file of 0 bytes; `USD_CPU_SECONDS_PER_MEGABYTE` adds to it.
+
+A crafted file with references nested 16 deep took minutes."""
 
 USD_CPU_SECONDS_PER_MEGABYTE = 1.0
 """Seconds added to the processor time limit for each 2^20 bytes of the files. Reading 2^20 bytes of text takes 0.1 s.
 """
 
 USD_WALL_FACTOR = 10.0
-"""Limit on elapsed time as a multiple of the processor time limit, large enough for a busy machine."""
+"""Elapsed time that a child may take, as a multiple of its processor time limit; large because machines may be busy."""
 
 USD_START_SECONDS = 300.0
 """Limit on elapsed time until the child has loaded the library, seconds. On an idle machine loading takes 0.2 s."""
@@ -138,7 +140,7 @@ class Remote:
         self._function = function
 
     def __call__(self, argument: float) -> Any:
-        """Calls the function."""
+        """Calls the function in this process."""
         return self._function(argument)
 
 
@@ -169,7 +171,7 @@ class _Child:
         self._limit = _Limit.of(0)
         """Memory and time limits of the child for the current file."""
         self._size = 0
-        """Total size in bytes of the current file's layers that the child has asked for."""
+        """Total size in bytes of the layers of the current file for which the child has asked permission."""
         self._calls = threading.Lock()
         self._remotes = 0
         """Number of functions in the child for which the parent still holds a proxy; see `Remote`."""
@@ -367,7 +369,7 @@ def _size_of(path: Path) -> int:
 
 
 def _checked_size(path: Path, file: Path) -> int:
-    """Returns the size in bytes of a layer that the child asks for.
+    """Returns the size in bytes of ``file``, a layer that the child wants to open for the stage ``path``.
 
     Raises:
         FormatError: The layer is outside of the stage's folder, or is no regular file.
@@ -411,7 +413,7 @@ class _Session:
         return len(self.remotes) - 1
 
     def begin(self) -> None:
-        """Starts a call, which may use as much processor time as the limit allows, whatever earlier calls used."""
+        """Starts a call: sets the processor time limit anew, so that earlier calls do not count."""
         self.used = time.process_time()
         self.set_limit(self.limit)
 
@@ -421,7 +423,7 @@ class _Session:
         _limit(limit.memory, self.used + limit.seconds)
 
     def answer(self, function: Callable[[], Any]) -> None:
-        """Calls a function and sends its result or its exception."""
+        """Calls a function and sends the parent its result or its exception."""
         try:
             self.send("result", function())
         except LumisplatError as error:

@@ -105,14 +105,14 @@ class StageReader:
     file: UsdFile
     drop_invalid: bool = False
     for_animation: bool = False
-    """True if deforming prims will also be read at other time codes."""
+    """Whether deforming prims are collected in `deforming`, to be read again at other time codes."""
     splats: list[SplatInstance] = field(default_factory=list[SplatInstance])
     meshes: list[MeshInstance] = field(default_factory=list[MeshInstance])
     lights: list[Light] = field(default_factory=list[Light])
     moving: dict[str, list[SplatInstance | MeshInstance]] = field(
         default_factory=dict[str, "list[SplatInstance | MeshInstance]"]
     )
-    """Instances whose transform has time samples, by prim path."""
+    """Captures and meshes whose transform has time samples, by prim path; those in `deforming` are not included."""
     deforming: dict[str, tuple[PlacedPrim, list[SplatInstance | MeshInstance]]] = field(
         default_factory=dict[str, "tuple[PlacedPrim, list[SplatInstance | MeshInstance]]"]
     )
@@ -222,7 +222,7 @@ class StageReader:
         return [SplatInstance(gaussians, matrix, bound and bound.material, name=placed.name, **settings)]
 
     def _add_light(self, placed: PlacedPrim) -> None:
-        """Adds a light, unless its transform is singular or an enabled environment exists already."""
+        """Adds a light to `lights`, unless its transform is singular or it is a second enabled environment."""
         light = None if placed.is_degenerate else read_light(self.file, placed)
         if light is None:
             return

@@ -39,9 +39,9 @@ USD_INSTANCES_MAX = 1_000_000
 multiply, so a small file could ask for any number."""
 
 _NAMES_LISTED = 3
-"""Largest number of prim names listed after a remark in the log line of `Remarks.report`."""
+"""Largest number of prim names that a log line lists for each feature that is lost."""
 _REMARKS_LISTED = 12
-"""Largest number of remarks listed in the log line of `Remarks.report`."""
+"""Largest number of lost features that one log line lists."""
 
 _CUSTOM_DATA_KEY = "lumisplat"
 """Key in a prim's customData whose dictionary holds the Lumisplat settings that OpenUSD has no attribute for."""
@@ -62,7 +62,7 @@ class Remarks:
     names: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
 
     def add(self, remark: str, name: str = "") -> None:
-        """Records a feature that is left out or read in another way.
+        """Records a feature that is left out, or read in another way than the file means it.
 
         Args:
             remark: The feature, such as ``"the range of lights"``.
@@ -207,7 +207,17 @@ def array(file: UsdFile, prim: Any, name: str, columns: int) -> npt.NDArray[np.f
 
 
 def rows(file: UsdFile, label: str, found: Any, columns: int) -> npt.NDArray[np.float32] | None:
-    """Converts the value of an attribute to float32 rows, as `array` does; ``label`` names the attribute in errors."""
+    """Converts ``found``, the value of an array attribute, to float32.
+
+    Args:
+        file: The open file.
+        label: Name of the attribute, for errors.
+        found: The value.
+        columns: Numbers per row.
+
+    Returns:
+        N rows, shape (N, columns), or (N,) if ``columns`` is 1; None if the array is empty.
+    """
     try:
         values = np.array(found, dtype=np.float32)
     except (TypeError, ValueError):
@@ -290,7 +300,7 @@ class StageWriter:
 
     path: Path
     up: Vector
-    """Up direction of the scene, a unit vector."""
+    """Up direction of the scene to write, a unit vector; other directions than z become y."""
     stage: Any = field(init=False)
     remarks: Remarks = field(init=False)
     files: dict[str, bytes] = field(default_factory=dict[str, bytes])
@@ -475,7 +485,7 @@ class _Walk:
                 yield from self._instanced(prim, world_from_prim, (*instancers, prim.GetPath()))
 
     def _instanced(self, prim: Any, world_from_prim: Doubles, instancers: tuple[Any, ...]) -> Iterator[PlacedPrim]:
-        """Yields the prims of each instance of a point instancer."""
+        """Yields the prims of each instance that a point instancer makes, with their transforms."""
         file, px = self.file, pxr()
         instancer = px.UsdGeom.PointInstancer(prim)
         prototypes = [file.stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]

@@ -99,7 +99,7 @@ class AssetWriter:
     _prototypes: dict[tuple[int, int, int], str] = field(default_factory=dict[tuple[int, int, int], str])
 
     def write(self, instances: Sequence[Instance]) -> None:
-        """Writes instances with their transforms."""
+        """Writes captures and meshes with their transforms to the world."""
         uses = Counter(_key(instance) for instance in instances)
         for instance in instances:
             name = instance.name or (instance.mesh.name if isinstance(instance, MeshInstance) else "gaussians")
