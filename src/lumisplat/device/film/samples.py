@@ -22,9 +22,9 @@ from lumisplat.device.structs.shading import CatcherLight, ShadingScene, WaveDat
 
 @wp.func
 def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
-    """Returns the iso-opacity surface of the Gaussians on a ray or, if it is not reached, the mesh behind them.
+    """Returns the iso-opacity surface of the Gaussians on ray ``i`` or, if it is not reached, the mesh behind them.
 
-    Its normal is a blend of the normals of the Gaussians and of the mesh.
+    Its normal is a blend of the normals of all Gaussians on the ray and of the mesh.
     """
     surface = FirstSurface()
     surface.depth = wave[0].gaussians.depth[i]
@@ -65,7 +65,7 @@ def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array[wp.vec3]):
-    """Adds the colour of sample number ``sample`` to a pixel of ``image``, which stores the mean of all samples."""
+    """Adds the colour of sample number ``sample``, from 0, to a pixel of ``image``, which stores the mean of all."""
     if sample == 0:
         image[pixel] = color
     else:
@@ -123,10 +123,10 @@ def captured_factor(
 ) -> wp.vec3:
     """Returns the factor, per channel, by which added objects change a pixel's captured colour.
 
-    ``whole`` is the captured colour of the pixel, ``part`` the part of it that shows a shadow catcher, and ``radiance``
-    the linear, non-premultiplied colour of the catcher. ``change`` is the change of the catcher's irradiance by lights,
-    ``emitted_change`` that of its irradiance by captures, and ``blocked`` the ambient irradiance that added objects
-    block.
+    ``whole`` is the pixel's captured colour, ``part`` the part of it that a shadow catcher contributes, and
+    ``radiance`` the catcher's colour, linear and not premultiplied. ``change`` and ``emitted_change`` are the added
+    objects' change of the catcher's irradiance by lights and by captured colours; ``blocked`` is the ambient irradiance
+    that they block.
     """
     factor = wp.vec3(1.0)
     for channel in range(3):
@@ -146,7 +146,7 @@ def captured_factor(
 
 @wp.func
 def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> PixelSample:
-    """Returns the sample of a pixel that ray ``i`` carries."""
+    """Returns what ray ``i`` contributes to its pixel: colour, alpha and light of one sample."""
     sample = PixelSample()
     sample.color = wave[0].radiance.captured[i]
     sample.alpha = wave[0].radiance.alpha[i]
@@ -172,7 +172,7 @@ def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[W
 
 @wp.func
 def sample_of_pixel(pixel: int, film: wp.array[FilmData]) -> PixelSample:
-    """Returns the sample of a pixel that has only one, read from the pixel's images."""
+    """Returns the one sample of a pixel in frames of one sample, which the pixel's images store."""
     sample = PixelSample()
     sample.color = film[0].pixels.color[pixel]
     sample.alpha = film[0].pixels.alpha[pixel]
@@ -194,7 +194,7 @@ def radiance_of(sample: PixelSample, film: wp.array[FilmData]) -> wp.vec3:
 
 @wp.func
 def add_to_sums(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
-    """Adds a sample to the sums of its pixel, whose number of samples already includes it."""
+    """Adds a sample to the pixel's sums and to its sum of squared deviations (Welford); ``count`` must include it."""
     radiance = wp.vec3d(radiance_of(sample, film))
     before = wp.float64(film[0].count[pixel] - 1)
     total = film[0].sums.radiance[pixel]
@@ -223,7 +223,7 @@ def store_sample(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
 
 @wp.func
 def store_surface(pixel: int, surface: FirstSurface, film: wp.array[FilmData]):
-    """Writes the surface that the first sample of a pixel hits."""
+    """Writes depth, normal, Gaussian and instance of the surface that a pixel shows."""
     film[0].pixels.depth[pixel] = surface.depth
     film[0].pixels.normal[pixel] = surface.normal
     film[0].pixels.gaussian[pixel] = surface.gaussian
@@ -247,7 +247,7 @@ def mean_sample(pixel: int, film: wp.array[FilmData]) -> PixelSample:
 
 @wp.func
 def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
-    """Returns the factor by which shadows and added light change a pixel's captured colour; 1: no change."""
+    """Returns the factor, per channel, by which shadows and added light change a pixel's captured colour; 1: none."""
     weight = film[0].lit.captured_weight[pixel]
     if film[0].capture_factor:
         return straight_factor(film[0].capture_factor[pixel], weight)
@@ -267,10 +267,10 @@ def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
 
 @wp.func
 def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
-    """Returns the linear light that shadows and added light add to a pixel's captured colour; negative: light removed.
+    """Returns ``captured * (ratio - 1)``: the linear light that shadows and added light add to a pixel.
 
-    The change is the mean captured colour times ``FilmData.ratio`` - 1. It is no difference of two means, because
-    captured colours are averaged as display-referred values and light as linear values.
+    It is negative where shadows darken. It is not the difference of two means, because captured colours are averaged as
+    display-referred values and light as linear values.
     """
     if not film[0].ratio:
         return wp.vec3(0.0)
@@ -280,9 +280,9 @@ def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
 
 @wp.func
 def develop(pixel: int, film: wp.array[FilmData]):
-    """Computes the linear colour of a lit pixel from captured colour and light.
+    """Writes the linear colour of a lit pixel: captured colour plus light, at least 0.
 
-    Changes of the captured colour by shadows and added light count as light.
+    ``LitPixels.light`` then includes the change of the captured colour by shadows and added light.
     """
     captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
     film[0].lit.light[pixel] += captured_change(pixel, film)
@@ -291,15 +291,15 @@ def develop(pixel: int, film: wp.array[FilmData]):
 
 @wp.func
 def sample_variance(pixel: int, film: wp.array[FilmData]) -> wp.vec3d:
-    """Returns the variance of one sample of a pixel that has two or more samples."""
+    """Returns the variance of a single sample of a pixel, per channel, which must have two or more samples."""
     return film[0].sums.squares[pixel] / wp.float64(film[0].count[pixel] - 1)
 
 
 @wp.func
 def relative_variance(pixel: int, least: float, film: wp.array[FilmData]) -> float:
-    """Returns the variance of one sample over the squared luminance of the pixel, or over ``least`` squared if darker.
+    """Returns ``variance / max(luminance, least)^2`` of a single sample of a pixel; inf with fewer than two samples.
 
-    inf: the pixel has fewer than two samples.
+    The variance is that of the luminance, and the luminance is the mean over the pixel's samples.
     """
     if film[0].count[pixel] < 2:
         return wp.inf

@@ -51,9 +51,10 @@ GAMMA = wp.constant(wp.float32(AGX_GAMMA))
 
 
 def curve_scale(run: float, rise: float, power: float) -> float:
-    """Returns the distance of AgX's asymptote from the pivot such that one side of the curve passes its end point.
+    """Returns the scale of one side of AgX's sigmoid: the distance from the pivot to the asymptote of that side.
 
-    ``run`` and ``rise`` lead from the pivot to the end point; ``power`` is the exponent of this side of the curve.
+    ``run`` and ``rise`` are the distances from the pivot to the side's end point, through which the curve passes;
+    ``power`` is the exponent of the side.
     """
     return AGX_SLOPE * run / ((AGX_SLOPE * run / rise) ** power - 1.0) ** (1.0 / power)
 
@@ -86,7 +87,7 @@ def neutral(light: wp.vec3) -> wp.vec3:
 
 @wp.func
 def agx_curve(light: float) -> float:
-    """Applies AgX's sigmoid to the logarithm of a channel."""
+    """Applies AgX's sigmoid to the base-2 logarithm of a linear channel; returns 0..1, display-encoded."""
     stops = wp.log2(wp.max(light, DARKEST))
     x = wp.clamp((stops - STOPS_LOW) / STOPS_RANGE, 0.0, 1.0)
     scale = wp.where(x < PIVOT_X, SCALE_BELOW, SCALE_ABOVE)
@@ -107,7 +108,7 @@ def agx(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
 
 @wp.func
 def tone_mapped(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
-    """Tone maps linear light, at least 0, to a display-referred colour, 0..1."""
+    """Tone maps linear light, at least 0, and encodes it as display-referred sRGB, 0..1."""
     color = light
     if settings.tone_map == TONE_NEUTRAL:
         color = neutral(light)
@@ -118,9 +119,10 @@ def tone_mapped(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
 
 @wp.func
 def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, settings: ToneMapData) -> wp.vec3:
-    """Returns the display-referred colour of a pixel with captured colour, light, or both.
+    """Returns the display-referred colour of a pixel that shows captured colour, linear light, or both.
 
-    The host function ``lit_picture`` computes the same.
+    Only the part that light adds is tone mapped; captured colour alone is returned unchanged. On the host,
+    ``lit_picture`` computes the same.
     """
     if settings.gain == 1.0 and weight >= WHOLE and is_black(light):
         return captured
@@ -148,7 +150,7 @@ def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, settings: ToneMa
 
 @wp.func
 def channels_finite(color: wp.vec3) -> bool:
-    """Returns whether no channel is NaN or infinite; the sum of finite channels may overflow and is not tested."""
+    """Returns whether no channel is NaN or infinite; each channel is tested, because a sum could overflow."""
     return wp.isfinite(color[0]) and wp.isfinite(color[1]) and wp.isfinite(color[2])
 
 
@@ -168,6 +170,6 @@ def byte_of(value: float) -> wp.uint32:
 
 @wp.func
 def packed_rgba(color: wp.vec3, alpha: float) -> wp.uint32:
-    """Packs a pixel into one word, red in the low byte."""
+    """Packs a display-referred pixel into a 32-bit word of four bytes: red in the low byte, alpha in the high one."""
     word = byte_of(color[0]) | (byte_of(color[1]) << wp.uint32(8)) | (byte_of(color[2]) << wp.uint32(16))
     return word | (byte_of(alpha) << wp.uint32(24))

@@ -37,14 +37,14 @@ from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf
 
 @struct
 class BsdfSample:
-    """A direction sampled from a BSDF."""
+    """A direction sampled from a BSDF, with its weight and pdf."""
 
     direction: wp.vec3
     """Unit direction away from the surface."""
     weight: wp.vec3
     """BSDF times cosine over pdf; zero: no direction was found."""
     pdf: float
-    """Pdf per steradian."""
+    """Pdf with which the BSDF samples the direction, per steradian; 0: no direction was found."""
 
 
 # --- Diffuse lobe: cosine-weighted directions; from inside a body, only those without total reflection ---
@@ -52,9 +52,9 @@ class BsdfSample:
 
 @wp.func
 def scattered_sine2(bsdf: Bsdf) -> float:
-    """Returns the squared sine of the largest angle from the normal at which diffuse light leaves the surface.
+    """Returns ``sin^2`` of the largest angle from the normal at which light of the diffuse lobe leaves the surface.
 
-    Beyond this angle, light is totally reflected.
+    It is ``1 / eta^2`` on the denser side of a dielectric, where total internal reflection starts, else 1.
     """
     if bsdf.model == BSDF_SIMPLE or bsdf.dielectric <= 0.0 or bsdf.eta <= 1.0:
         return 1.0
@@ -65,7 +65,7 @@ def scattered_sine2(bsdf: Bsdf) -> float:
 
 @wp.func
 def diffuse_pdf(bsdf: Bsdf, cos_light: float) -> float:
-    """Returns the pdf, per steradian, with which ``diffuse_direction`` samples a direction at cosine ``cos_light``."""
+    """Returns the pdf, per steradian, of ``diffuse_direction`` for a direction at cosine ``cos_light``."""
     sine2 = scattered_sine2(bsdf)
     if (1.0 - cos_light) * (1.0 + cos_light) > sine2:
         return 0.0
@@ -74,7 +74,7 @@ def diffuse_pdf(bsdf: Bsdf, cos_light: float) -> float:
 
 @wp.func
 def diffuse_direction(bsdf: Bsdf, normal: wp.vec3, u: wp.vec2) -> wp.vec3:
-    """Samples a cosine-weighted direction among those from which light reaches the diffuse lobe."""
+    """Samples a cosine-weighted direction within the angle beyond which light is totally reflected."""
     sine2 = u[0] * scattered_sine2(bsdf)
     return around(normal, wp.sqrt(1.0 - sine2), wp.sqrt(sine2), u[1])
 
@@ -97,7 +97,7 @@ def has_layers(bsdf: Bsdf) -> bool:
 
 @wp.func
 def coat_share(coat: float, alpha: float, cosine: float) -> float:
-    """Returns the albedo of the clearcoat for a view at a cosine from the normal."""
+    """Returns the albedo of a clearcoat of strength ``coat`` and GGX ``alpha``, seen at a cosine from the normal."""
     rising = rising_share(cosine, alpha)
     return coat * (HEAD_ON * (1.0 - lost_share(cosine, alpha) - rising) + rising)
 
@@ -113,7 +113,10 @@ def sheen_share(curve: wp.vec4, cosine: float) -> float:
 
 @wp.func
 def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
-    """Returns the fraction of light that the clearcoat passes to sheen and base below, for a view and a light."""
+    """Returns the fraction of light that the clearcoat passes to sheen and base: 1 - its albedo.
+
+    The albedo is the larger one of view and light direction, given by their cosines.
+    """
     if bsdf.coat <= 0.0:
         return 1.0
     from_view = coat_share(bsdf.coat, bsdf.coat_alpha, cos_view)
@@ -122,7 +125,10 @@ def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
 
 @wp.func
 def left_by_sheen(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
-    """Returns the fraction of light that the sheen passes to the base below, for a view and a light."""
+    """Returns the fraction of light that the sheen passes to the base below: 1 - its albedo.
+
+    The albedo is the larger one of view and light direction, given by their cosines.
+    """
     if is_black(bsdf.sheen):
         return 1.0
     largest = wp.max(sheen_share(bsdf.sheen_curve, cos_view), sheen_share(bsdf.sheen_curve, cos_light))
@@ -153,7 +159,7 @@ def coat_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def sheen_masking_exponent(x: float, alpha: float) -> float:
-    """Returns the exponent in the fit of sheen masking (Estevez and Kulla 2017)."""
+    """Returns the exponent L(x) of the fitted sheen masking function (Estevez and Kulla 2017) for a cosine x."""
     smooth = (1.0 - alpha) * (1.0 - alpha)
     a = 21.5473 + smooth * (25.3245 - 21.5473)
     b = 3.82987 + smooth * (3.32435 - 3.82987)
@@ -165,7 +171,7 @@ def sheen_masking_exponent(x: float, alpha: float) -> float:
 
 @wp.func
 def sheen_masking(cosine: float, alpha: float) -> float:
-    """Returns Lambda, the masking function of sheen, by the fit of Estevez and Kulla (2017)."""
+    """Returns Smith's Lambda of sheen, from which its masking follows, by the fit of Estevez and Kulla (2017)."""
     if cosine < 0.5:
         return wp.exp(sheen_masking_exponent(cosine, alpha))
     return wp.exp(2.0 * sheen_masking_exponent(0.5, alpha) - sheen_masking_exponent(1.0 - cosine, alpha))
@@ -175,7 +181,7 @@ def sheen_masking(cosine: float, alpha: float) -> float:
 def sheen_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
     """Evaluates the BSDF of the sheen above the horizon: upright fibres (Estevez and Kulla 2017).
 
-    The BSDF is limited so that it conserves energy.
+    It is divided by the sheen's albedo where that exceeds 1, so that it conserves energy.
     """
     half = view + light
     length2 = wp.dot(half, half)
@@ -193,7 +199,10 @@ def sheen_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp
 
 @wp.func
 def layer_shares(bsdf: Bsdf, cos_view: float, below: float) -> wp.vec2:
-    """Returns the probabilities of sampling clearcoat and sheen; ``below`` is the approximate albedo of the base."""
+    """Returns the probabilities of sampling the clearcoat and the sheen, in proportion to their albedos.
+
+    ``below`` is the approximate albedo of the base, which is sampled otherwise.
+    """
     coat = coat_share(bsdf.coat, bsdf.coat_alpha, cos_view)
     sheen = (1.0 - coat) * mean_of(bsdf.sheen) * wp.min(sheen_share(bsdf.sheen_curve, cos_view), 1.0)
     rest = left_by_coat(bsdf, cos_view, cos_view) * left_by_sheen(bsdf, cos_view, cos_view) * below
@@ -204,21 +213,21 @@ def layer_shares(bsdf: Bsdf, cos_view: float, below: float) -> wp.vec2:
 # --- The BSDF of a material ---
 
 EXPONENT_MIN = wp.constant(wp.float32(-30.0))
-"""Natural logarithm below which a highlight counts as dark."""
+"""The Phong highlight is 0 where its natural logarithm is below this value."""
 
 # --- Simple model: a diffuse lobe and a Phong highlight ---
 
 
 @wp.func
 def simple_scale(bsdf: Bsdf) -> wp.vec3:
-    """Returns the factor, per channel, that limits the sum of diffuse albedo and highlight albedo to 1."""
+    """Returns ``1 / max(diffuse + specular, 1)`` per channel, which keeps the albedo of BSDF_SIMPLE at most 1."""
     total = bsdf.diffuse + bsdf.specular
     return wp.vec3(1.0 / wp.max(total[0], 1.0), 1.0 / wp.max(total[1], 1.0), 1.0 / wp.max(total[2], 1.0))
 
 
 @wp.func
 def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the cosine between light and mirror direction, to the power of the shininess (Phong)."""
+    """Returns the Phong highlight: cosine between ``light`` and the mirror direction of ``view``, to the shininess."""
     cosine = 2.0 * wp.dot(normal, view) * wp.dot(normal, light) - wp.dot(view, light)
     # Because log(x) <= x - 1, most directions need no power.
     if cosine <= 0.0 or bsdf.shininess * (cosine - 1.0) < EXPONENT_MIN:
@@ -228,7 +237,7 @@ def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
 
 @wp.func
 def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Evaluates the BSDF_SIMPLE model above the horizon; result as in ``bsdf_eval``."""
+    """Evaluates BSDF_SIMPLE (diffuse plus Phong), linear, per steradian, without the cosine, for light from above."""
     value = INV_PI * bsdf.diffuse
     if wp.max(bsdf.specular) > 0.0:
         value += INV_TWO_PI * (bsdf.shininess + 2.0) * highlight(bsdf, normal, view, light) * bsdf.specular
@@ -251,7 +260,7 @@ def simple_share(bsdf: Bsdf) -> float:
 
 @wp.func
 def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the Fresnel reflectance of a microfacet for the cosine of incidence (Schlick 1994)."""
+    """Returns the reflectance of a microfacet of BSDF_PBR for the cosine of incidence (Schlick 1994)."""
     x = wp.max(1.0 - cosine, 0.0)
     x2 = x * x
     return bsdf.specular + x2 * x2 * x * (wp.vec3(bsdf.grazing) - bsdf.specular)
@@ -259,24 +268,21 @@ def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the albedo of the highlight for a view at a cosine from the normal."""
+    """Returns the albedo of the GGX highlight for a view at ``cosine`` from the normal, single scattering only."""
     rising = rising_share(cosine, bsdf.alpha)
     return (1.0 - lost_share(cosine, bsdf.alpha) - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
 
 
 @wp.func
 def head_on_share(dielectric: float, eta: float) -> float:
-    """Returns the reflectance at normal incidence of a dielectric whose reflection has strength ``dielectric``."""
+    """Returns a dielectric's reflectance at normal incidence: Fresnel's times the strength ``dielectric``."""
     ratio = (1.0 - eta) / (1.0 + eta)
     return dielectric * ratio * ratio
 
 
 @wp.func
 def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
-    """Returns the fraction of light arriving at a cosine that the dielectric reflects specularly.
-
-    The dielectric reflects it as a highlight or, if it is smooth, as a mirror.
-    """
+    """Returns the fraction of light arriving at a cosine that the dielectric reflects as highlight or mirror image."""
     if bsdf.alpha <= 0.0 or transmits(bsdf):
         return dielectric_share(bsdf.dielectric, cosine, bsdf.eta)
     rising = rising_share(cosine, bsdf.alpha)
@@ -286,7 +292,10 @@ def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def mean_mirrored_share(dielectric: float, eta: float, alpha: float, fresnel_mean: float) -> float:
-    """Returns the mean of ``mirrored_share`` under constant illumination from the hemisphere."""
+    """Returns the fraction of light, constant over the hemisphere, that a dielectric reflects specularly.
+
+    It is the mean of ``mirrored_share``. ``fresnel_mean`` is the mean of Fresnel's reflectance for a smooth surface.
+    """
     if alpha <= 0.0:
         return mean_dielectric_share(dielectric, fresnel_mean, eta)
     rising = mean_rising_share(alpha)
@@ -308,7 +317,7 @@ def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
 
 @wp.func
 def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Evaluates BSDF_PBR, the metallic-roughness model, above the horizon; result as in ``bsdf_eval``."""
+    """Evaluates BSDF_PBR without layers, linear, per steradian, without the cosine; light is above the horizon."""
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
     value = wp.vec3(0.0)
@@ -330,7 +339,10 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 
 @wp.func
 def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
-    """Returns the probability with which BSDF_PBR samples its highlight: the highlight's fraction of the albedo."""
+    """Returns the probability with which BSDF_PBR samples its highlight or, for rough glass, its microfacets.
+
+    It is their approximate fraction of the albedo; the diffuse lobe has the rest.
+    """
     if transmits(bsdf):
         return glass_share(bsdf, cos_view)
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
@@ -349,7 +361,7 @@ def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
 
 @wp.func
 def base_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Evaluates the BSDF without clearcoat and sheen; result as in ``bsdf_eval``."""
+    """Evaluates the BSDF without clearcoat and sheen, linear, per steradian, without the cosine."""
     if wp.dot(normal, view) <= 0.0:
         return wp.vec3(0.0)
     if wp.dot(normal, light) <= 0.0:
@@ -363,7 +375,7 @@ def base_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 
 @wp.func
 def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf of BSDF_SIMPLE above the horizon, per steradian, as in ``bsdf_pdf``."""
+    """Returns the pdf, per steradian, with which BSDF_SIMPLE samples ``light``, which is above the horizon."""
     diffuse = INV_PI * wp.dot(normal, light)
     share = simple_share(bsdf)
     if share <= 0.0:
@@ -374,7 +386,7 @@ def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> fl
 
 @wp.func
 def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf of BSDF_PBR above the horizon, per steradian, as in ``bsdf_pdf``."""
+    """Returns the pdf, per steradian, with which BSDF_PBR without layers samples ``light``, above the horizon."""
     cos_view = wp.dot(normal, view)
     diffuse = diffuse_pdf(bsdf, wp.dot(normal, light))
     share = pbr_share(bsdf, cos_view)
@@ -390,7 +402,7 @@ def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float
 
 @wp.func
 def base_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf of the BSDF without clearcoat and sheen, per steradian, as in ``bsdf_pdf``."""
+    """Returns the pdf, per steradian, with which the BSDF without clearcoat and sheen samples ``light``."""
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
     if cos_view <= 0.0:
@@ -406,7 +418,7 @@ def base_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def facet_mirrored(normal: wp.vec3, view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
-    """Samples the unit normal, world space, of a GGX microfacet that is visible to ``view`` and mirrors light to it."""
+    """Samples the normal of a GGX microfacet visible to ``view``, world space, unit; ``view`` reflects about it."""
     # The frame has x along the view direction projected onto the surface.
     cos_view = wp.dot(normal, view)
     along = view - cos_view * normal
@@ -443,9 +455,9 @@ def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choic
 
 @wp.func
 def base_albedo(bsdf: Bsdf, cos_view: float) -> float:
-    """Estimates the albedo of the BSDF without clearcoat and sheen for a view.
+    """Estimates the albedo of the BSDF without clearcoat and sheen for a view at cosine ``cos_view``.
 
-    The mirror reflection of smooth surfaces does not count.
+    The mirror reflection of smooth surfaces does not count, because rays trace it.
     """
     if bsdf.model == BSDF_SIMPLE:
         return mean_of(bsdf.diffuse) + mean_of(bsdf.specular)
@@ -460,9 +472,9 @@ def base_albedo(bsdf: Bsdf, cos_view: float) -> float:
 
 @wp.func
 def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Evaluates the BSDF: radiance towards ``view`` over irradiance from ``light``, per steradian, without the cosine.
+    """Evaluates the BSDF, per steradian, linear Rec.709: radiance towards ``view`` over irradiance from ``light``.
 
-    Values are linear Rec.709.
+    The cosine is not included.
     """
     value = base_eval(bsdf, normal, view, light)
     cos_view = wp.dot(normal, view)
@@ -480,8 +492,8 @@ def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
     """Returns the pdf with which ``bsdf_sample`` samples the direction ``light``, per steradian.
 
-    Over all directions, the pdf integrates to 1 minus the fraction of rejected samples: reflections below the horizon,
-    or transmissions above it.
+    Its integral over all directions is 1 minus the probability that no direction is found: a reflection below the
+    horizon, or a transmission above it.
     """
     pdf = base_pdf(bsdf, normal, view, light)
     cos_view = wp.dot(normal, view)
@@ -497,7 +509,7 @@ def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def sampled_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
-    """Samples the direction that ``bsdf_sample`` returns; zero: no direction was found."""
+    """Samples a direction by clearcoat, sheen or base, as ``choice`` selects; zero: no direction was found."""
     if not has_layers(bsdf):
         return base_direction(bsdf, normal, view, u, choice)
     cos_view = wp.dot(normal, view)
@@ -535,9 +547,9 @@ def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: 
 
 @wp.func
 def diffuse_share(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Returns the fraction of ``bsdf_eval``, per channel, that the diffuse lobe contributes.
+    """Returns the fraction, per channel, of the BSDF's value for ``view`` and ``light`` that the diffuse lobe adds.
 
-    The fraction is 0 for transmitted light.
+    It is 0 for transmitted light.
     """
     share = wp.vec3(0.0)
     cos_view = wp.dot(normal, view)

@@ -15,7 +15,7 @@ from lumisplat.device.structs.scene import MeshInstanceData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 NESTED = wp.constant(4)
-"""Largest number of media that a ray can be inside of at once; further media are not recorded."""
+"""Largest number of meshes with a medium that a ray can be inside of at once; more are not recorded."""
 AIR = wp.constant(-1)
 
 
@@ -56,7 +56,7 @@ def exited(media: wp.vec4i, number: int) -> wp.vec4i:
 
 @wp.func
 def current(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> int:
-    """Returns the mesh instance whose medium a ray travels in; AIR: no medium."""
+    """Returns the index of the mesh whose medium a ray travels in: highest priority, last entered; AIR: none."""
     number = AIR
     highest = int(0)
     for k in range(NESTED):
@@ -86,10 +86,10 @@ def index_around(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> floa
 
 @wp.func
 def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> Boundary:
-    """Returns the interface that a mesh surface forms for a ray: the media on both sides, and whether it exists.
+    """Returns the interface that the surface of mesh instance ``number`` forms for a ray.
 
-    ``from_inside``: the ray comes from inside the mesh; a mesh that is not a medium has no inside. ``media`` are those
-    that the ray is inside of when it arrives.
+    ``from_inside``: the ray arrives from the inside of the mesh; a mesh that is not a medium has no inside. ``media``
+    are those that the ray is inside of before the surface.
     """
     boundary = Boundary()
     boundary.media = media
@@ -122,7 +122,7 @@ def media_of_ray(i: int, wave: wp.array[WaveData]) -> wp.vec4i:
 
 @wp.func
 def boundary_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Boundary:
-    """Returns the interface that the mesh hit by ray ``i`` forms."""
+    """Returns the interface between media at the mesh surface that ray ``i`` hits."""
     number = wave[0].meshes.instance[i]
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     outward = face_normal(scene[0].mesh_instances[number], scene[0].meshes, corners)
@@ -132,7 +132,10 @@ def boundary_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 
 @wp.func
 def media_before(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec4i:
-    """Returns the media that ray ``i`` is inside of just before its hit; a mesh hit from inside counts as entered."""
+    """Returns the media that ray ``i`` is inside of just before its hit.
+
+    If it hits a mesh from the inside without having entered it, the mesh counts as entered.
+    """
     if wave[0].meshes.face[i] >= 0:
         return boundary_of_ray(i, scene, wave).media
     return media_of_ray(i, wave)
@@ -159,13 +162,13 @@ def absorption_in(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> wp.
 
 @wp.func
 def absorption_on_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the absorption coefficient, per scene unit, of the medium that ray ``i`` travels in."""
+    """Returns the absorption coefficient, linear, per scene unit, of the medium along ray ``i`` up to its hit."""
     return absorption_in(media_before(i, scene, wave), scene[0].mesh_instances)
 
 
 @wp.func
 def passed_by_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the transmittance of the medium along ray ``i`` up to its surface, linear."""
+    """Returns the linear transmittance of the medium along ray ``i`` up to its first surface, Gaussians or mesh."""
     if scene[0].settings[0].absorbs == 0:
         return wp.vec3(1.0)
     distance = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
@@ -181,7 +184,7 @@ def scattered_media(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> wp.vec4i:
-    """Returns the media of a ray that a surface scatters: those behind the surface if the ray passes through a mesh.
+    """Returns the media of a ray that a surface scatters into ``direction``; they change if it passes through a mesh.
 
     ``by_mesh``: a mesh scatters the ray, instead of the Gaussians in front of it. ``normal`` is the surface normal on
     the side from which the ray arrives.

@@ -16,12 +16,14 @@ from lumisplat.device.math.directions import INV_PI, TWO_PI
 from lumisplat.device.structs.shading import Bsdf
 
 GGX_WIDTH_MIN = 1e-6
-"""Smallest GGX alpha (roughness 0.001) of a rough highlight; float32 directions resolve no less."""
+"""Smallest GGX alpha of a rough highlight, as by roughness 0.001; float32 directions resolve no narrower one."""
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 NODES = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * (_POINTS + 1.0)).tolist()))
-"""Quadrature nodes over the root of the cosine, which resolve the steep rise of reflectances at grazing angles."""
+"""Quadrature nodes, as square roots of cosines, for means of the Fresnel reflectance.
+
+They are dense at grazing angles, where reflectances rise steeply."""
 
 WEIGHTS = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * _WEIGHTS).tolist()))
 
@@ -63,10 +65,7 @@ def fresnel(cosine: float, eta: float) -> float:
 
 @wp.func
 def dielectric_share(strength: float, cosine: float, eta: float) -> float:
-    """Returns the reflectance of a dielectric whose reflection is scaled by ``strength``.
-
-    Total internal reflection is not scaled.
-    """
+    """Returns ``strength`` times the Fresnel reflectance of a dielectric; 1 under total internal reflection."""
     if cosine2_beyond(cosine, eta) <= 0.0:
         return 1.0
     return strength * fresnel(cosine, eta)
@@ -74,9 +73,9 @@ def dielectric_share(strength: float, cosine: float, eta: float) -> float:
 
 @wp.func
 def mean_fresnel(eta: float) -> float:
-    """Returns the mean of ``fresnel`` for constant illumination on the side of the lower index.
+    """Returns the fraction of constant hemispherical light that a smooth dielectric reflects on its thinner side.
 
-    The error is at most 7e-6.
+    The thinner side has the lower index of refraction. The error is at most 7e-6.
     """
     ratio = wp.min(eta, 1.0 / eta)
     total = float(0.0)
@@ -88,10 +87,11 @@ def mean_fresnel(eta: float) -> float:
 
 @wp.func
 def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> float:
-    """Returns the mean of ``dielectric_share`` under constant illumination from the hemisphere.
+    """Returns the fraction of light, constant over the hemisphere, that a smooth dielectric reflects.
 
-    ``fresnel_mean`` is the mean for illumination on the side of the lower index and a strength of 1. If ``eta`` is
-    above 1, the light comes from the side of the higher index, from which the fraction 1 / eta^2 of the light crosses.
+    ``strength`` scales the reflection. ``fresnel_mean`` is the fraction on the side of the lower index at strength 1.
+    If ``eta`` is above 1, the light comes from the other side, from which total reflection lets at most 1 / eta^2
+    cross.
     """
     mean = strength * fresnel_mean
     if eta > 1.0:
@@ -101,7 +101,7 @@ def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> f
 
 @wp.func
 def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
-    """Returns the linear reflectance of a metal, given ``head_on``, that at normal incidence (Schlick 1994)."""
+    """Returns a metal's linear reflectance at a cosine, if it is ``head_on`` at normal incidence (Schlick 1994)."""
     grazing = wp.pow(wp.clamp(1.0 - cosine, 0.0, 1.0), 5.0)
     return head_on + grazing * (wp.vec3(1.0) - head_on)
 
@@ -114,14 +114,15 @@ def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
 ALPHA_GGX_MIN = wp.constant(wp.float32(GGX_WIDTH_MIN))
 
 HALF_MIN2 = wp.constant(wp.float32(1e-12))
-"""Squared length of the vector view + light below which its direction is rounding error."""
+"""If ``view + light`` has a squared length below this value, its direction is only rounding error."""
 
 
 @wp.func
 def ggx_d(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
-    """Returns D, the area of microfacets with normal ``half`` (of any length), per steradian and surface area.
+    """Returns GGX's D, the area of microfacets with normal ``half`` per steradian and per area of the surface.
 
-    D is ``alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2)`` of the angle between the two normals.
+    D is ``alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2)`` of the angle between ``normal`` and ``half``, which has any
+    length.
     """
     alpha2 = alpha * alpha
     across = wp.cross(normal, half)
@@ -132,7 +133,7 @@ def ggx_d(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
 
 @wp.func
 def smith_g1(cosine: float, alpha: float) -> float:
-    """Returns Smith's G1, the fraction of unmasked microfacets, divided by twice the cosine (Heitz 2014)."""
+    """Returns ``G1 / (2 cosine)``; Smith's G1 is the unmasked fraction of GGX microfacets at a cosine (Heitz 2014)."""
     alpha2 = alpha * alpha
     return 1.0 / (cosine + wp.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine))
 
@@ -144,7 +145,7 @@ def smith_g1(cosine: float, alpha: float) -> float:
 
 @wp.func
 def rising_share(cosine: float, alpha: float) -> float:
-    """Returns the albedo of a GGX highlight whose reflectance is Schlick's term ``(1 - cosine)^5`` alone.
+    """Returns a fit of the albedo of a GGX highlight whose microfacets reflect Schlick's ``(1 - cosine)^5``.
 
     The fit is up to 0.08 too large at grazing angles.
     """
@@ -156,7 +157,7 @@ def rising_share(cosine: float, alpha: float) -> float:
 
 @wp.func
 def lost_share(cosine: float, alpha: float) -> float:
-    """Returns the fraction of light that masking and shadowing of microfacets remove from a GGX highlight.
+    """Returns a fit of the fraction of light that a white GGX highlight loses by masking and shadowing.
 
     The fit is up to 0.12 too small at grazing angles.
     """
@@ -167,24 +168,23 @@ def lost_share(cosine: float, alpha: float) -> float:
 
 @wp.func
 def mean_rising_share(alpha: float) -> float:
-    """Returns a lower bound of the cosine-weighted mean of ``rising_share`` over all views."""
+    """Returns a lower bound of the mean of ``rising_share`` over all views, weighted by their cosines."""
     return 1.0 / (21.0 + alpha * (50.4 + alpha * 357.0))
 
 
 @wp.func
 def mean_lost_share(alpha: float) -> float:
-    """Returns an upper bound of the cosine-weighted mean of ``lost_share`` over all views."""
+    """Returns an upper bound of the mean of ``lost_share`` over all views, weighted by their cosines."""
     return alpha * alpha / (0.26 + alpha * (1.05 + alpha * 0.3))
 
 
 @wp.func
 def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
-    """Returns the fraction of a metal's single-scattering energy loss that multiple scattering reflects.
+    """Returns the fraction, per channel, of the light lost by single scattering that a rough metal rescatters.
 
-    At each further bounce, light leaves with the mean albedo of a white metal, or hits another facet (Kulla and Conty
-    2017).
-
-    ``head_on`` is the reflectance of the metal at normal incidence. Without masking, there is no loss.
+    At each further bounce between microfacets, the reflectance is the metal's mean one, and light leaves as from a
+    white metal (Kulla and Conty 2017). ``head_on`` is the metal's reflectance at normal incidence. The result is 0 for
+    ``alpha`` 0, where nothing is lost.
     """
     if alpha <= 0.0:
         return wp.vec3(0.0)
@@ -196,7 +196,10 @@ def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
 
 @wp.func
 def rescattered_eval(share: wp.vec3, cos_view: float, cos_light: float, alpha: float) -> wp.vec3:
-    """Evaluates the BSDF of multiple scattering: diffuse, weighted by the loss for view and for light."""
+    """Evaluates the BSDF of multiple scattering: ``share * lost(view) * lost(light) / (pi * mean lost)``.
+
+    ``share`` is ``rescattered_share``; lost is ``lost_share`` at a cosine.
+    """
     lost = lost_share(cos_view, alpha) * lost_share(cos_light, alpha)
     return (INV_PI * lost / mean_lost_share(alpha)) * share
 
@@ -225,14 +228,14 @@ HEAD_ON = wp.constant(wp.float32(COAT_HEAD_ON))
 
 @wp.func
 def mirrored(cosine: float, alpha: float) -> float:
-    """Returns the fraction of light arriving at a cosine that the highlight of a dielectric with F0 = 0.04 reflects."""
+    """Returns the fraction of light arriving at a cosine that a rough dielectric with F0 = 0.04 reflects specularly."""
     rising = rising_share(cosine, alpha)
     return HEAD_ON * (1.0 - lost_share(cosine, alpha) - rising) + rising
 
 
 @wp.func
 def diffuse_factor(cos_view: float, cos_light: float, alpha: float) -> float:
-    """Returns the BSDF of a dielectric's diffuse lobe, divided by the base colour."""
+    """Returns the BSDF of a rough dielectric's diffuse lobe for a white base colour, F0 = 0.04."""
     rising = mean_rising_share(alpha)
     mean = HEAD_ON * (1.0 - mean_lost_share(alpha) - rising) + rising
     return INV_PI * (1.0 - mirrored(cos_light, alpha)) * (1.0 - mirrored(cos_view, alpha)) / (1.0 - mean)
@@ -240,7 +243,10 @@ def diffuse_factor(cos_view: float, cos_light: float, alpha: float) -> float:
 
 @wp.func
 def highlight_factor(normal: wp.vec3, view: wp.vec3, light: wp.vec3, alpha: float) -> float:
-    """Returns the BSDF of a dielectric's highlight above the horizon; it is the same in all channels."""
+    """Returns the BSDF of a rough dielectric's GGX highlight, F0 = 0.04, equal in all channels.
+
+    The light must be above the horizon.
+    """
     half = view + light
     x = wp.max(1.0 - 0.5 * wp.length(half), 0.0)
     fresnel = HEAD_ON + (1.0 - HEAD_ON) * x * x * x * x * x
@@ -258,10 +264,10 @@ def reflected_dot(
     by_diffuse: float,
     by_highlight: float,
 ) -> wp.float32:
-    """Returns the diffuse and the highlight BSDF times the light's cosine, weighted by their loss derivatives.
+    """Returns ``cosine * (by_diffuse * diffuse BSDF + by_highlight * highlight BSDF)``, which Warp differentiates.
 
-    ``by_diffuse`` and ``by_highlight`` are the derivatives. ``spread`` is added to the highlight's squared alpha. The
-    light must be above the horizon.
+    ``by_diffuse`` and ``by_highlight`` are derivatives of a loss. ``spread`` is added to the highlight's squared alpha.
+    The light must be above the horizon.
     """
     alpha = roughness * roughness
     cos_light = wp.dot(normal, light)
@@ -277,20 +283,20 @@ def reflected_dot(
 # light, as at smooth surfaces.
 
 BEND_MIN = wp.constant(wp.float32(1e-3))
-"""Smallest difference between 1 and the ratio of indices by which rough glass refracts.
+"""Smallest difference from 1 of the ratio of indices that rough glass refracts by.
 
 At a ratio of 1, the lobe would be a single direction."""
 
 
 @wp.func
 def transmits(bsdf: Bsdf) -> bool:
-    """Returns whether light passes through the surface into a lobe of directions (rough glass)."""
+    """Returns whether the surface is rough glass, through which light passes into a lobe of directions."""
     return not is_black(bsdf.transmitted)
 
 
 @wp.func
 def bending(eta: float) -> float:
-    """Returns the ratio of indices ``eta``, moved away from 1 to a difference of ``BEND_MIN``."""
+    """Returns ``eta`` or, if it is closer to 1 than ``BEND_MIN``, ``1 + BEND_MIN`` or ``1 - BEND_MIN``."""
     if wp.abs(eta - 1.0) >= BEND_MIN:
         return eta
     return wp.where(eta > 1.0, 1.0 + BEND_MIN, 1.0 - BEND_MIN)
@@ -298,9 +304,9 @@ def bending(eta: float) -> float:
 
 @wp.func
 def facet_of(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Returns the unit normal of the microfacet that reflects or refracts the light to the view; zero: none does.
+    """Returns the unit normal, on the view's side, of the microfacet that sends light from ``light`` to ``view``.
 
-    The normal is on the view's side.
+    It reflects if ``light`` is above the horizon, else it refracts. Zero: no microfacet does.
     """
     half = view + light
     if wp.dot(normal, light) <= 0.0:
@@ -327,13 +333,16 @@ def facet_reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def facet_transmittance(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the transmittance of a microfacet for light at a cosine from its normal, for each channel."""
+    """Returns the transmittance, per channel, of a microfacet of rough glass at a cosine from its normal."""
     return (1.0 - dielectric_share(bsdf.dielectric, cosine, bsdf.eta)) * bsdf.transmitted
 
 
 @wp.func
 def reflected_chance(bsdf: Bsdf, cosine: float) -> float:
-    """Returns the probability with which a sampled microfacet reflects instead of transmitting."""
+    """Returns the probability with which a sampled microfacet of rough glass reflects instead of transmitting.
+
+    It is ``reflectance / (reflectance + transmittance)`` at a cosine from its normal.
+    """
     reflected = mean_of(facet_reflectance(bsdf, cosine))
     through = mean_of(facet_transmittance(bsdf, cosine))
     if through <= 0.0:
@@ -343,10 +352,9 @@ def reflected_chance(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def spread_of_facets(bsdf: Bsdf, to_view: float, to_light: float) -> float:
-    """Returns the Jacobian of transmission at microfacets.
+    """Returns the Jacobian of transmission: solid angle of microfacet normals per solid angle of transmitted light.
 
-    It is the solid angle of microfacet normals over the solid angle of the light directions behind the surface from
-    which these microfacets send light to the view.
+    ``to_view`` and ``to_light`` are the cosines of view and light to the microfacet's normal.
     """
     if bsdf.thin_walled:
         return 0.25 / to_view
@@ -374,7 +382,7 @@ def glass_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp
 
 @wp.func
 def glass_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf with which microfacet sampling of rough glass samples ``light``, per steradian."""
+    """Returns the pdf, per steradian, with which the microfacets of rough glass reflect or refract to ``light``."""
     half = facet_of(bsdf, normal, view, light)
     to_view = wp.dot(view, half)
     to_light = wp.dot(light, half)
@@ -392,9 +400,10 @@ def glass_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
 
 @wp.func
 def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, choice: float) -> wp.vec3:
-    """Returns the direction of light that a sampled microfacet sends to the view; zero: blocked by another microfacet.
+    """Returns the direction from which a microfacet of rough glass sends light to ``view``.
 
-    ``half`` is the microfacet normal; ``choice``, random, 0..1, selects reflection or transmission.
+    ``half`` is the microfacet's normal; ``choice``, random, 0..1, selects reflection or transmission. Zero: another
+    microfacet blocks the light.
     """
     to_view = wp.dot(view, half)
     mirrored = wp.normalize(2.0 * to_view * half - view)

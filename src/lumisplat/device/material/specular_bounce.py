@@ -1,8 +1,8 @@
 """Specular bounces at meshes: weights of the surface's own colour, the reflected ray and the refracted ray.
 
-In lit frames, weights apply to linear light. In unlit frames they apply to display-referred colours, as captures store
-them: Fresnel weights are unchanged, so that reflection and transmission add up to one, and the colours of tinted
-materials are encoded like any other colour.
+In lit frames, weights apply to linear light. In unlit frames they apply to display-referred colours: Fresnel weights
+are unchanged, so that reflection and transmission add up to one, and the colours of tinted materials are encoded like
+any other colour.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
@@ -32,9 +32,10 @@ SLENDER = wp.constant(wp.float32(SPAWN_SLENDER))
 
 @wp.func
 def stays_outside(direction: wp.vec3, normal: wp.vec3, side: wp.vec3, eta: float, passes: bool) -> bool:
-    """Returns whether a shading normal reflects to the triangle's near side and refracts to its far side.
+    """Returns whether ``normal`` reflects the ray to the triangle's near side and refracts it to the far side.
 
-    ``side`` is the triangle's normal on the side of the ray; ``passes``: the surface refracts at all.
+    ``normal`` is a shading normal, ``side`` the triangle's own normal on the ray's side. ``passes``: the surface
+    refracts, so that the second condition applies.
     """
     cosine = -wp.dot(direction, normal)
     if cosine <= 0.0 or wp.dot(reflect(direction, normal), side) <= 0.0:
@@ -54,15 +55,15 @@ def bounce_of(
     eta: float,
     lit: bool,
 ) -> Bounce:
-    """Splits the colour of a ray among the surface, the reflected and the refracted ray.
+    """Splits a ray's light at a smooth surface into the surface's own colour, a reflected and a refracted ray.
 
     Metals reflect by Schlick's approximation, dielectrics by Fresnel's equations. The light that a dielectric does not
     reflect is divided between the refracted ray and the base colour, by the material's transmission.
 
-    ``face_normal`` points out of the mesh; a ray along it comes from inside, but opaque materials have no inside.
-    ``shading_normal`` is ignored if its reflection would lead through the triangle, or its refraction back. ``eta`` is
-    the index of refraction on the ray's side over the index behind the surface. ``lit``: weights are for linear light
-    instead of display-referred colours.
+    ``face_normal`` points out of the mesh, so that it tells from which side the ray comes. ``shading_normal`` is
+    ignored where it would reflect the ray through the triangle or refract it back. ``eta`` is the index of refraction
+    on the ray's side over the index behind the surface. ``lit``: weights are for linear light instead of
+    display-referred colours.
     """
     bounce = Bounce()
     bounce.color = base_color
@@ -105,7 +106,7 @@ def bounce_of(
 
 @wp.func
 def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
-    """Returns the bounce at a surface between equal media, which is ignored: the ray continues unchanged."""
+    """Returns the bounce at a surface between equal media: the whole ray passes straight."""
     bounce = Bounce()
     bounce.side = face_normal
     if wp.dot(direction, face_normal) > 0.0:
@@ -118,9 +119,9 @@ def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
 
 @wp.func
 def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Returns whether ray ``i`` continues at the mesh that it hits.
+    """Returns whether the mesh that ray ``i`` hits reflects it or lets it pass.
 
-    The mesh reflects or refracts the ray, is partly transparent by its alpha, or separates equal media.
+    It does if it is smooth, partly transparent by its alpha, or between equal media.
     """
     material = scene[0].mesh_instances[wave[0].meshes.instance[i]].material
     alpha = scene[0].mesh_instances[wave[0].meshes.instance[i]].alpha
@@ -131,9 +132,9 @@ def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def blended(bounce: Bounce, coverage: float) -> Bounce:
-    """Returns the bounce at a surface that covers only the fraction ``coverage`` of the ray.
+    """Returns ``bounce`` for a surface that, by its alpha, covers only the fraction ``coverage`` of the ray.
 
-    The rest of the ray continues behind the surface: straight, unless the surface refracts.
+    The rest of the ray passes the surface: straight, unless the surface refracts.
     """
     if coverage >= 1.0:
         return bounce
@@ -148,9 +149,9 @@ def blended(bounce: Bounce, coverage: float) -> Bounce:
 
 @wp.func
 def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
-    """Returns the fraction of ray ``i`` that the mesh it hits covers; the rest continues behind the mesh.
+    """Returns the alpha of the mesh that ray ``i`` hits: the fraction that it covers; the rest of the ray passes.
 
-    With random alpha tests, the fraction is 1.
+    It is 1 if alpha is tested at random, because a ray then hits the mesh completely.
     """
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     if instance.alpha.is_drawn != 0 or instance.alpha.mode != ALPHA_BLEND:
@@ -163,7 +164,10 @@ def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 def bounce_across(
     i: int, boundary: Boundary, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Bounce:
-    """Returns the bounce of ray ``i`` at the mesh that it hits, for a given interface between media."""
+    """Returns surface colour, reflection and refraction of ray ``i`` at its mesh hit, the interface ``boundary``.
+
+    ``lit``: weights are for linear light instead of display-referred colours.
+    """
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     meshes = scene[0].meshes
     corners = meshes.indices[wave[0].meshes.face[i]]
@@ -186,13 +190,16 @@ def bounce_across(
 
 @wp.func
 def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """Returns the bounce of ray ``i`` at the mesh that it hits."""
+    """Returns surface colour, reflection and refraction of ray ``i`` at the mesh that it hits.
+
+    ``lit``: weights are for linear light instead of display-referred colours.
+    """
     return bounce_across(i, boundary_of_ray(i, scene, wave), lit, scene, wave)
 
 
 @wp.func
 def magnitudes(m: wp.mat33) -> wp.mat33:
-    """Returns a matrix with the absolute values of all entries of ``m``."""
+    """Returns the matrix of the absolute values of the entries of ``m``."""
     result = wp.mat33(0.0)
     for i in range(3):
         for j in range(3):

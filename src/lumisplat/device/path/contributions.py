@@ -34,34 +34,42 @@ from lumisplat.device.structs.shading import Interaction, LightCrossing, PathVer
 
 @struct
 class PathShadowRays:
-    """Shadow rays of a wave of paths, and the light contributions along them.
+    """Shadow rays of a wave of paths, and the light that each adds to the image if nothing blocks it.
 
-    The first half of each array has one shadow ray for each path, from its surface to a sampled light. The second half,
-    if it exists, has one for each path that follows the path ray up to a light that it hits.
+    With n paths, element i < n is the ray from the surface of path i to a sampled light. Element n + i, where the
+    arrays are that long, follows the ray of path i up to a light that it hits behind blended Gaussians.
     """
 
     rays: RayData
-    """The shadow rays; active only where something could block the light."""
+    """Shadow rays; inactive where the path has no contribution, or where nothing can block it."""
     contributions: wp.array[wp.vec3]
-    """Contribution of each ray's light to the image if nothing blocks it."""
+    """Linear radiance, times throughput and MIS weight, that each ray's light adds to the image if nothing blocks it.
+    """
     opaque: wp.array[wp.bool]
-    """True if glass blocks the ray completely, because path rays find the light through the glass."""
+    """True: glass blocks the ray, because MIS finds this light by path rays through the glass. False: glass tints it.
+    """
     skips: wp.array[wp.bool]
-    """True if shadow catchers do not block the ray, because it starts at one."""
+    """True: the ray starts at a shadow catcher and passes all shadow catchers unblocked."""
     media: wp.array[wp.vec4i]
-    """Media that the ray is inside of at its origin, mesh instance indices plus one, unless glass blocks the ray.
+    """Media that the ray is inside of at its origin, as mesh instance indices plus one; 0: none.
 
-    The array is empty if no medium absorbs."""
+    It is 0, too, for rays that glass blocks, whose absorption is already in ``contributions``. The array is empty if no
+    medium absorbs."""
     lights: wp.array[int]
-    """Index of the light that each ray leads to."""
+    """Index of the light that each ray leads to; the count of lights stands for emissive triangles."""
     diffuse: wp.array[wp.vec3]
-    """Fraction of the contribution that the path's first surface scattered diffusely; empty in frames without light
-    layers."""
+    """Fraction of each contribution that the path's first surface scattered diffusely, per channel.
+
+    The array is empty in frames without light layers."""
     unshadowed: wp.array[wp.vec3]
-    """Contribution by light samples alone, without MIS and shadows; empty unless the frame has the ``lights`` layers.
+    """Contribution of each light sample without MIS weight and shadow, as if only light samples found lights.
+
+    The array is empty unless the frame outputs the ``lights`` layers.
     """
     reaching: wp.array[wp.vec3]
-    """``unshadowed`` times the transmittance of the medium, on rays that glass ends; empty if ``unshadowed`` is."""
+    """``unshadowed`` times the absorption up to the light, for rays that glass blocks; else equal to ``unshadowed``.
+
+    The array is empty if ``unshadowed`` is."""
 
 
 PART_DIRECT_DIFFUSE: int = wp.constant(0)
@@ -79,38 +87,51 @@ PARTS: int = wp.constant(5)
 
 @struct
 class PathImages:
-    """Sums of path radiance for each ray of the first wave, linear.
+    """Linear radiance that paths contribute, summed for each camera ray with which they start.
 
     Arrays of light layers that the frame does not have are empty.
     """
 
     light: wp.array[wp.vec3]
-    """Total radiance."""
+    """Sum of all linear radiance that paths contribute to each camera ray."""
     parts: wp.array[wp.vec3]
-    """Radiance of each part, PART_DIRECT_DIFFUSE and so on: one row for each part, one element of a row for each ray.
+    """Radiance split into direct or indirect, diffuse or glossy, and emission: row k is PART k, with one element per
+    ray.
     """
     bounces: wp.array[wp.vec3]
-    """Radiance by the number of scattering events: one more row than the paths have bounces."""
+    """Radiance split by the number of bounces of the path, mirror reflections included: one row for each number from
+    0.
+    """
     lights_unshadowed: wp.array[wp.vec3]
-    """Radiance of each light at the first surface if nothing blocks it, by light samples alone."""
+    """Radiance that each ray's first surface reflects from each light if nothing blocks it, by light samples without
+    MIS.
+
+    There is one row for each light."""
     lights_shadowed: wp.array[wp.vec3]
-    """Radiance of each light at the first surface, with shadows, by light samples alone."""
+    """Radiance that each ray's first surface reflects from each light, with shadows, by light samples without MIS.
+
+    There is one row for each light."""
     lights_total: wp.array[wp.vec3]
-    """Total radiance that each light causes; the last row is emission that does not count as a light."""
+    """Radiance that each light contributes over all bounces, one row per light.
+
+    The last row is emission of captures and of meshes that are not sampled as lights."""
     received: wp.array[wp.vec3]
-    """1 where a path measures the irradiance of a shadow catcher, else 0."""
+    """1 if a path measured the irradiance of the ray's shadow catcher, else 0; equal in all channels."""
     unshadowed: wp.array[wp.vec3]
-    """Irradiance of shadow catchers by lights, without added objects; empty in frames without shadow catchers."""
+    """Irradiance of the ray's shadow catcher by lights as if the added objects were absent.
+
+    The array is empty in frames without shadow catchers."""
     shadowed: wp.array[wp.vec3]
-    """Irradiance of shadow catchers by lights, with all added objects."""
+    """Irradiance of the ray's shadow catcher by lights with all added objects present."""
     emitted_unshadowed: wp.array[wp.vec3]
-    """Irradiance of shadow catchers by surrounding captures, without added objects."""
+    """Irradiance of the ray's shadow catcher by surrounding splats' captured colours, without added objects."""
     emitted_shadowed: wp.array[wp.vec3]
-    """Irradiance of shadow catchers by surrounding captures with all added objects, including the objects' emission."""
+    """Irradiance of the ray's shadow catcher by captured colours and by the added objects, which emit and block light.
+    """
     ambient: wp.array[wp.vec3]
-    """Ambient irradiance of shadow catchers."""
+    """Ambient irradiance of the ray's shadow catcher, as the scene specifies it, without added objects."""
     open: wp.array[wp.vec3]
-    """Part of ``ambient`` that no added object blocks."""
+    """Part of the shadow catcher's ambient irradiance that is left because no added object blocks it."""
 
 
 # --- Light layers, and irradiance of shadow catchers (docs/method/paths.md#layers) ---
@@ -118,14 +139,18 @@ class PathImages:
 
 @wp.func
 def add_to_row(rows: wp.array[wp.vec3], row: int, count: int, root: int, value: wp.vec3):
-    """Adds ``value`` to the element of ray ``root`` in row ``row``; rows have ``count`` elements each."""
+    """Adds ``value`` to element ``root`` of row ``row`` of an array with ``count`` elements per row."""
     i = row * count + root
     rows[i] = rows[i] + value
 
 
 @wp.func
 def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, images: wp.array[PathImages]):
-    """Adds light to the part for the path's first scattering (diffuse or glossy) and bounces (direct or indirect)."""
+    """Splits a contribution into its diffuse and glossy part, and adds both to the direct or indirect light layers.
+
+    ``diffuse`` is the fraction that the first surface scattered diffusely. ``bounces`` is the number of bounces, mirror
+    reflections included: 0 for emission, 1 for direct light, more for indirect light.
+    """
     count = images[0].light.shape[0]
     if bounces == 0:
         add_to_row(images[0].parts, PART_EMISSION, count, root, value)
@@ -150,10 +175,11 @@ def add_light(
     diffuse: wp.vec3,
     images: wp.array[PathImages],
 ):
-    """Adds a light contribution of a path to the images.
+    """Adds a contribution of a path to the images of camera ray ``root``.
 
-    ``value`` is linear radiance times the throughput. ``light`` is the index of the light, or ``light_count`` for the
-    emission of captures and meshes. ``diffuse`` is the fraction that the first surface scattered diffusely.
+    ``value`` is linear radiance times throughput, or irradiance of a shadow catcher if ``for_catcher``. ``light`` is
+    the index of the light, or ``light_count`` for emission of captures and meshes. ``bounces`` is the number of
+    bounces, and ``diffuse`` the fraction that the first surface scattered diffusely.
     """
     if for_catcher:
         if light < light_count:
@@ -174,9 +200,10 @@ def add_light(
 
 @wp.func
 def add_first_light(root: int, unshadowed: wp.vec3, shadowed: wp.vec3, light: int, images: wp.array[PathImages]):
-    """Adds a light sample at the first surface of a path to the light layers, if the frame has them.
+    """Adds a light sample at the first surface of camera ray ``root`` to the ``lights`` layers, if there are any.
 
-    ``unshadowed`` and ``shadowed`` are the linear radiance that the surface reflects from it, without and with shadows.
+    ``unshadowed`` and ``shadowed`` are the linear radiance that the surface reflects from light ``light``, without and
+    with shadows.
     """
     if images[0].lights_unshadowed:
         count = images[0].light.shape[0]
@@ -202,7 +229,7 @@ def add_emitted_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
 
 @wp.func
 def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
-    """Returns the surface vertex at which the ray of path ``i`` starts."""
+    """Returns position, normal and importance of the surface at which the ray of path ``i`` starts."""
     vertex = PathVertex()
     vertex.position = paths[0].position[i]
     vertex.normal = paths[0].normal[i]
@@ -214,8 +241,8 @@ def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
 def leaves_catcher(i: int, paths: wp.array[PathData]) -> bool:
     """Returns whether the ray of path ``i`` starts at a shadow catcher.
 
-    Lights that such a ray hits do not count, because light samples replace them. An environment that uses MIS is the
-    exception: the ray sees it where the catcher's splat set does not block it.
+    Lights that such a ray hits are not counted, because light samples at the catcher already count them. The exception
+    is an environment that uses MIS: the ray sees it where the catcher's own splat set does not block it.
     """
     return paths[0].pdf[i] < 0.0
 
@@ -224,10 +251,10 @@ def leaves_catcher(i: int, paths: wp.array[PathData]) -> bool:
 def escaped_radiance(
     i: int, direction: wp.vec3, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Returns the linear radiance from infinity along path ``i``, with its MIS weight against environment samples.
+    """Returns the linear radiance of what path ``i`` sees at infinity, with its MIS weight against light samples.
 
-    In a scene without an environment, paths that have only been reflected by mirrors see the background. Other paths
-    see black, because a background does not emit light.
+    It is the environment. Without one, it is the background for paths that only mirrors have reflected, else black,
+    because a background does not emit light.
     """
     if scene[0].environment.exists == 0:
         if paths[0].is_specular[i]:
@@ -251,7 +278,7 @@ def escaped_radiance(
 def emitted_share(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> float:
-    """Returns the MIS weight of the emission that path ``i`` hits, against samples of emissive triangles."""
+    """Returns the MIS weight, 0..1, against samples of emissive triangles, of the mesh emission that path ``i`` hits."""
     pdf = paths[0].pdf[i]
     number = wave[0].meshes.instance[i]
     if paths[0].is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
@@ -279,9 +306,9 @@ def hit_light(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> LightCrossing:
-    """Intersects the ray of path ``i`` with light ``number``; the returned radiance includes the MIS weight.
+    """Intersects the ray of path ``i`` with light ``number``; the radiance includes MIS weight and absorption.
 
-    The returned distance is inf if the ray misses the light.
+    The distance is inf if the ray misses the light or must not count it.
     """
     crossing = LightCrossing()
     crossing.t = wp.inf
@@ -302,7 +329,7 @@ def hit_light(
 def emitted_radiance(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
-    """Returns the linear radiance of captures and mesh emission along the ray of path ``i``."""
+    """Returns the linear radiance of captured colours and mesh emission that path ``i`` hits, with MIS weights."""
     radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     if not paths[0].is_specular[i]:
         radiance *= scene[0].settings[0].capture_gain
@@ -318,14 +345,14 @@ def emitted_radiance(
 # --- Light samples, and lights that path rays hit behind blended Gaussians ---
 
 HIT_LIGHT_BRANCH = wp.constant(4)
-"""Random branch of the shadow ray along a path ray up to a light that the path ray hits.
+"""Branch of a ray's random key for the shadow ray up to a visible light that the path ray hits.
 
 The other random branches of lights are in light/direct_light.py."""
 
 
 @wp.func
 def diffuse_of(i: int, number: int, paths: wp.array[PathData]) -> wp.vec3:
-    """Returns the fraction of path ``i``'s contribution that its first surface scattered diffusely."""
+    """Returns the fraction of path ``i``'s light that its first surface scattered diffusely; 0 in wave ``number`` 0."""
     if number == 0 or not paths[0].diffuse:
         return wp.vec3(0.0)
     return paths[0].diffuse[i]
@@ -333,7 +360,7 @@ def diffuse_of(i: int, number: int, paths: wp.array[PathData]) -> wp.vec3:
 
 @wp.func
 def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
-    """Resets shadow ray ``j`` to an inactive ray without contribution."""
+    """Resets shadow ray ``j``: inactive, without contribution, blocked by glass and by shadow catchers."""
     shadows[0].contributions[j] = wp.vec3(0.0)
     shadows[0].rays.is_active[j] = False
     shadows[0].opaque[j] = True
@@ -344,7 +371,10 @@ def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
 
 @wp.func
 def start_along(i: int, j: int, t_max: float, branch: int, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts ray ``j`` along ray ``i`` of a wave, with random keys of branch ``branch``; the caller activates it."""
+    """Writes ray ``j`` with origin and direction of ray ``i`` of a wave, and the end ``t_max``.
+
+    Its random keys are those of branch ``branch``; the caller activates it.
+    """
     rays_out.origin[j] = wave[0].rays.origin[i]
     rays_out.direction[j] = wave[0].rays.direction[i]
     rays_out.t_min[j] = wave[0].rays.t_min[i]
@@ -380,10 +410,10 @@ def add_hit_lights(
     shadows: wp.array[PathShadowRays],
     images: wp.array[PathImages],
 ):
-    """Adds the visible lights that the ray of path ``i`` hits before its surface to the images.
+    """Adds to the images the visible lights that the ray of path ``i`` hits in front of its surface.
 
-    If blended Gaussians lie in front of them, one of the lights is chosen at random, and a shadow ray along the path
-    ray determines its attenuation.
+    ``number`` is the index of the wave. Where blended Gaussians may lie before the lights, one light is chosen at
+    random instead, and a shadow ray along the path ray attenuates it.
     """
     is_hazy = shadows[0].contributions.shape[0] > wave[0].rays.is_active.shape[0]
     end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
@@ -426,9 +456,10 @@ def light_surface(
     wave: wp.array[WaveData],
     shadows: wp.array[PathShadowRays],
 ):
-    """Samples one light for the surface at which path ``i`` scatters, and starts its shadow ray.
+    """Samples one light for the surface at which path ``i`` scatters, and starts the shadow ray to it.
 
-    ``slot`` is the surface: 0 for Gaussians, 1 for a mesh; ``factor`` is the throughput of the path at that surface.
+    ``slot`` is the surface: 0 for Gaussians, 1 for a mesh; ``factor`` is the path's throughput there. Without a light,
+    or if nothing can block it, no ray is started.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
@@ -479,10 +510,10 @@ def add_unshadowed_samples(
     shadows: wp.array[PathShadowRays],
     images: wp.array[PathImages],
 ):
-    """Adds light samples without the shadows of added objects to the irradiance of a shadow catcher.
+    """Adds the light sample of path ``i`` to sums that need light without the added objects' shadows.
 
-    At other surfaces, in the first wave, it adds them to the light layers, if the frame has them. ``number`` is the
-    index of the wave, ``visible`` the transmittance of the shadow ray.
+    At a shadow catcher, this is its irradiance; at other surfaces, in wave ``number`` 0, the ``lights`` layers, if the
+    frame has them. ``visible`` is the transmittance of the shadow ray.
     """
     light = shadows[0].lights[i]
     if shadows[0].skips[i]:

@@ -21,13 +21,13 @@ from lumisplat.device.structs.rays import Bounce, RayData
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, ShadingScene, WaveData
 
 ROULETTE_BOUNCE = 3
-"""First bounce at which Russian roulette may end a path."""
+"""Russian roulette may end a path from this bounce on; earlier bounces always continue."""
 
 ROULETTE_RANGE = (0.05, 0.95)
-"""Range of the survival probability, which is the largest throughput channel clamped to it."""
+"""Smallest and largest survival probability; in between, it is the path's largest throughput channel."""
 
 LEAVES_CATCHER: float = wp.constant(-1.0)
-"""Value in place of a pdf: the ray starts at a shadow catcher, where light samples replace the lights that it hits."""
+"""Value of ``PathData.pdf`` for rays from shadow catchers: lights that they hit do not count, only light samples do."""
 
 
 @struct
@@ -35,21 +35,21 @@ class PathData:
     """State of the paths of a wave, one element for each ray."""
 
     root: wp.array[int]
-    """Index of the ray of the first wave with which the path started."""
+    """Index of the camera ray with which the path started."""
     throughput: wp.array[wp.vec3]
-    """Factor of the ray's radiance in the colour of the path's first ray."""
+    """Factor, per channel, of the current ray's radiance in the colour of the camera ray."""
     pdf: wp.array[float]
-    """Pdf with which the ray's direction was sampled, per steradian.
+    """Pdf with which the BSDF sampled the ray's direction, per steradian, for MIS.
 
-    0: only this direction was possible. LEAVES_CATCHER: the ray starts at a shadow catcher."""
+    0: camera ray, or mirror reflection or refraction. LEAVES_CATCHER: the ray starts at a shadow catcher."""
     position: wp.array[wp.vec3]
-    """Position of the surface at which the ray starts, as in ``PathVertex``."""
+    """World-space position of the surface at which the ray starts."""
     normal: wp.array[wp.vec3]
     importance: wp.array[float]
     is_specular: wp.array[wp.bool]
-    """True if all earlier surfaces were smooth, so that the path shows what the camera sees in mirrors."""
+    """True if the path has met only mirrors and smooth glass so far, so that it shows what the camera sees in them."""
     for_catcher: wp.array[wp.bool]
-    """True if the path measures the irradiance of a shadow catcher instead of the radiance of its first ray."""
+    """True: the path measures the irradiance of a shadow catcher; false: radiance of its camera ray."""
     diffuse: wp.array[wp.vec3]
     """Fraction of the path's light that its first surface scattered diffusely; empty in frames without light layers."""
     media: wp.array[wp.vec4i]
@@ -58,48 +58,50 @@ class PathData:
 
 @struct
 class PathSteps:
-    """Next steps of the paths of a wave: one ray of the next wave for each path."""
+    """Next ray of each path of a wave, if the path goes on."""
 
     goes_on: wp.array[int]
-    """0: the path ends, and the other fields are undefined."""
+    """1: the path continues with a ray in the next wave. 0: it ends, and the other fields are undefined."""
     next_ends: wp.array[int]
-    """Inclusive prefix sum of ``goes_on``: one more than the index of the path's ray in the next wave."""
+    """Inclusive prefix sum of ``goes_on``; minus one, it is the index of the path's ray in the next wave."""
     rays: RayData
-    """Origins, directions and widths of the next rays; the other arrays are empty."""
+    """Origins, directions and footprints of the next rays; arrays of other ray fields are empty."""
     paths: PathData
     """State of the paths after the step, except for ``root``."""
 
 
 @struct
 class PathStep:
-    """Next step of one path before Russian roulette; zero weight: the path ends."""
+    """Next ray of one path, before Russian roulette; a weight of zero ends the path."""
 
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
     layer_normal: wp.vec3
-    """Unit normal of the layer of flat Gaussians at which the ray starts, as in ``RayData``; zero: none."""
+    """Unit normal of the layer of flat Gaussians at which the ray starts; zero if it starts elsewhere."""
     path_length: float
-    """Path length from the unfolded eye to the ray's origin, scene units; 0 after scattering.
+    """Length of the path from the eye to the ray's origin over mirrors and glass, scene units; 0 after scattering.
 
-    The light that a scattering surface receives does not depend on the viewer."""
+    After scattering, rays have no footprint, because the light that a surface receives does not depend on the viewer.
+    """
     spread: float
     weight: wp.vec3
-    """Factor by which the step changes the throughput, without division by the probability of the branch."""
+    """Factor by which the step multiplies the throughput, before division by the probability of its branch."""
     pdf: float
-    """Pdf with which the direction was sampled, per steradian; 0: only this direction was possible."""
+    """Pdf with which the BSDF sampled the direction, per steradian; 0 for mirror reflection and refraction."""
     diffuse: wp.vec3
-    """Fraction of ``weight`` that the diffuse lobe contributes, for each channel."""
+    """Fraction of ``weight``, per channel, that comes from the diffuse lobe."""
     media: wp.vec4i
     """Media that the ray is inside of after the step: mesh instance indices plus one."""
 
 
 @struct
 class Branch:
-    """Randomly chosen continuation of a path, and the probability with which it was chosen."""
+    """How a path continues, chosen at random, and the probability of the choice."""
 
     kind: int
-    """BRANCH_NONE, BRANCH_SPLATS, BRANCH_MESH, BRANCH_REFLECTED or BRANCH_REFRACTED."""
+    """BRANCH_SPLATS or BRANCH_MESH (scattered by this surface), BRANCH_REFLECTED, BRANCH_REFRACTED or BRANCH_NONE
+    (path ends)."""
     probability: float
 
 
@@ -126,9 +128,9 @@ GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
 
 @wp.func
 def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -> float:
-    """Estimates the fraction of a ray's light that interaction ``j`` scatters; above 0 wherever it scatters any.
+    """Estimates the fraction of its ray's light that interaction ``j`` scatters; above 0 wherever it scatters any.
 
-    A shadow catcher scatters only for paths that may measure its irradiance.
+    A shadow catcher scatters only if ``may_find_catcher``, which holds for paths that may measure its irradiance.
     """
     if not wave[0].interactions.exists[j]:
         return 0.0
@@ -151,10 +153,10 @@ def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -
 
 @wp.func
 def branch_of(i: int, u: float, may_find_catcher: bool, bounce: Bounce, wave: wp.array[WaveData]) -> Branch:
-    """Selects how path ``i`` continues, in proportion to the light that each continuation approximately carries.
+    """Selects at random how path ``i`` continues, in proportion to the light that each way approximately carries.
 
-    The continuations are scattering at the Gaussians or at the mesh, and the reflection and refraction of ``bounce``.
-    ``u`` is random, 0..1; ``may_find_catcher``: whether the path may measure the irradiance of a shadow catcher.
+    The ways are scattering at the Gaussians or at the mesh, and reflection and refraction by ``bounce``. ``u`` is
+    random, 0..1. ``may_find_catcher``: the path may measure the irradiance of a shadow catcher.
     """
     transmittance = wave[0].gaussians.transmittance[i]
     splats = scattering_share(i, may_find_catcher, wave)
@@ -178,9 +180,9 @@ def branch_of(i: int, u: float, may_find_catcher: bool, bounce: Bounce, wave: wp
 
 @wp.func
 def scattering_interaction(i: int, branch: Branch, wave: wp.array[WaveData]) -> Interaction:
-    """Returns the interaction at which path ``i`` scatters, for the chosen branch.
+    """Returns the interaction at which path ``i`` scatters: of Gaussians or mesh, as ``branch`` says.
 
-    Shadow catchers are white for paths that measure their irradiance.
+    A shadow catcher gets a white diffuse BSDF, for paths that measure its irradiance.
     """
     interaction = load_interaction(branch.kind * wave[0].rays.is_active.shape[0] + i, wave)
     if interaction.shadow_catcher:
@@ -192,7 +194,7 @@ def scattering_interaction(i: int, branch: Branch, wave: wp.array[WaveData]) -> 
 
 @wp.func
 def bounce_at(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """Returns reflection and refraction of ray ``i`` at the mesh that it hits; zero if the mesh is not smooth."""
+    """Returns the mirror reflection and refraction of ray ``i`` at the mesh that it hits; zero if the mesh has none."""
     bounce = Bounce()
     if wave[0].meshes.face[i] >= 0 and wave[0].gaussians.transmittance[i] > 0.0:
         if sends_rays_on(i, scene, wave):
@@ -211,10 +213,10 @@ def scattered_step(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> PathStep:
-    """Samples the step of a path that an interaction scatters.
+    """Samples the next ray of path ``i`` by the BSDF of the interaction that scatters it.
 
-    ``u`` is random, 0..1 each; ``choice``, random, 0..1, selects the lobe. ``splits``: whether the step needs its
-    diffuse fraction.
+    ``u`` is random, 0..1 each; ``choice``, random, 0..1, selects the lobe. ``splits``: compute the step's ``diffuse``
+    fraction, which light layers need.
     """
     step = PathStep()
     sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)
@@ -269,9 +271,9 @@ def is_scattering(branch: Branch) -> bool:
 
 @wp.func
 def survival(number: int, throughput: wp.vec3, key: wp.uint32, sample: int) -> float:
-    """Returns the probability with which a path survives Russian roulette after wave ``number``; 0: the path ends.
+    """Returns the probability with which a path survives Russian roulette after wave ``number``, or 0 to end it.
 
-    The decision is drawn from the low-discrepancy sequence of ``key``.
+    The decision is drawn from the low-discrepancy sequence of ``key`` at point ``sample``.
     """
     largest = wp.max(throughput)
     if not (largest > 0.0 and largest < wp.inf):

@@ -31,7 +31,7 @@ def empty_pixel() -> BlendState:
 
 @wp.func
 def opaque_pixel(splats: wp.array[Splat], index: int) -> BlendState:
-    """Returns the blending state of a pixel that shows one splat as opaque; index -1: none."""
+    """Returns the blending state of a pixel that shows only splat ``index``, opaque; -1: an empty pixel."""
     pixel = empty_pixel()
     if index >= 0:
         pixel.surface = index
@@ -55,7 +55,10 @@ def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
 
 @wp.func
 def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> BlendState:
-    """Blends a Gaussian behind all Gaussians already blended."""
+    """Blends a Gaussian of the given ``alpha`` behind the Gaussians that the pixel has already blended.
+
+    ``index`` becomes the pixel's surface if it takes the transmittance from at least ``iso`` to below.
+    """
     before = pixel.transmittance
     weight = before * alpha
     after = before - weight
@@ -72,9 +75,10 @@ def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, a
 
 @wp.func
 def blend(pixel: BlendState, splat: Any, alpha: float, transmittance_min: float, iso: float) -> BlendState:
-    """Blends a splat behind the splats already blended.
+    """Blends a splat behind the splats that the pixel has already blended.
 
-    If the transmittance would fall to its minimum, the function drops the splat and finishes the pixel.
+    A splat that would take the transmittance to ``transmittance_min`` or below is dropped instead, and the pixel is
+    finished. ``iso`` is the transmittance at which the depth surface lies.
     """
     before = pixel.transmittance
     if before - before * alpha > transmittance_min:
@@ -85,27 +89,30 @@ def blend(pixel: BlendState, splat: Any, alpha: float, transmittance_min: float,
 
 @wp.func
 def left_behind(before: float, after: float, transmittance_min: float) -> float:
-    """Returns a pixel's transmittance behind a splat, without branches so that rows of pixels vectorise.
+    """Returns ``after``, or ``-before`` to finish the pixel if ``after`` is at most ``transmittance_min``.
 
-    If the transmittance would fall to its minimum, the splat is dropped: the previous transmittance is returned,
-    negated to mark the pixel as finished.
+    ``before`` and ``after`` are a pixel's transmittance before and after a splat; -before also means that the splat is
+    dropped. There are no branches, so that rows of pixels vectorise.
     """
     return wp.where(after > transmittance_min, after, -wp.abs(before))
 
 
 @wp.func
 def to_surface(before: float, after: float, iso: float, index: int) -> int:
-    """Returns the amount to add to a pixel's surface index for a splat: 0 unless the splat crosses ``iso``.
+    """Returns ``index + 1`` if a splat takes the transmittance below ``iso``, else 0, to add to a surface index of -1.
 
-    Before that, the index is -1. As it is set once, adding replaces a selection, which compilers turn into a masked
-    store that is slow on some CPUs.
+    Adding replaces a selection, which compilers turn into a masked store that is slow on some CPUs. It works because
+    only one splat of a pixel crosses ``iso``.
     """
     return wp.where(wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0) > 0.0, index + 1, 0)
 
 
 @wp.func
 def instance_of(instances: wp.array[Any], item: int) -> int:
-    """Returns the instance that contains a Gaussian or triangle: the last one that starts at or before ``item``."""
+    """Returns the index of the instance that contains Gaussian or triangle ``item``, counted over all instances.
+
+    It is the last instance whose ``first`` is at most ``item``, found by binary search.
+    """
     low = int(0)
     high = instances.shape[0]
     while high - low > 1:
@@ -119,7 +126,7 @@ def instance_of(instances: wp.array[Any], item: int) -> int:
 
 @wp.func
 def begin_relit(hits: GaussianHits, ray: int):
-    """Resets the sums over relit splat sets on a ray, if the frame records them."""
+    """Resets a ray's ``relit`` arrays (colour, weight, Gaussian of relit splat sets), if the frame has them."""
     if hits.relit_weight:
         hits.relit_color[ray] = wp.vec3(0.0)
         hits.relit_weight[ray] = 0.0
@@ -135,7 +142,10 @@ def add_relit(
     after: BlendState,
     index: int,
 ):
-    """Adds the contribution of Gaussian ``index`` to the ray's sums over relit splat sets, if its set is relit."""
+    """Adds what Gaussian ``index`` has just contributed to a ray to the ray's ``relit`` arrays, if its set is relit.
+
+    ``before`` and ``after`` are the blending states without and with the Gaussian.
+    """
     if instances[instance_of(instances, index)].relit != 0:
         hits.relit_color[ray] += after.color - before.color
         hits.relit_weight[ray] += before.transmittance - after.transmittance
@@ -147,7 +157,7 @@ def add_relit(
 def store_gaussian_hits(
     camera: CameraData, splats: wp.array[Splat], pixel: BlendState, x: int, y: int, out: GaussianHits
 ):
-    """Writes the blended splats of a pixel as the Gaussian hits of its ray."""
+    """Writes the blending state of pixel (x, y) to ``out`` at the pixel's ray: colour, transmittance and surface."""
     ray = ray_index(camera, x, y)
     out.color[ray] = pixel.color
     out.normal[ray] = pixel.normal
@@ -172,7 +182,7 @@ def store_pixel(
     y: int,
     out: PixelData,
 ):
-    """Composites an unlit pixel over the mesh or the background, and writes its images."""
+    """Composites the blended splats of an unlit pixel over mesh and background, and writes the pixel's images."""
     i = image_index(camera, x, y)
     ray = pixel_ray(camera, x, y)
     transmittance = wp.abs(pixel.transmittance)
@@ -225,7 +235,7 @@ def store_result(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """Writes a blended pixel to the image or, if ``for_rays``, to the hits of its ray."""
+    """Writes a blending state to the images of the pixel or, if ``for_rays``, to the Gaussian hits of its ray."""
     if for_rays:
         store_gaussian_hits(camera, splats, pixel, x, y, hits_out)
     else:
@@ -234,9 +244,10 @@ def store_result(
 
 @wp.func
 def behind_pixel(pixels: PixelData, gradient: PixelGradient, pixel: int, mesh_z: float) -> float:
-    """Returns the loss contribution of all of a pixel's splats and its background.
+    """Returns ``dot(d loss / d colour, colour) - (d loss / d alpha) * transmittance`` of a pixel.
 
-    The backward pass starts with it and subtracts splat by splat. The alpha of a pixel with a mesh does not depend on
+    The backward pass starts with this sum over all splats and the background, and subtracts splat by splat what is
+    blended. With a mesh in the pixel (finite ``mesh_z``), the second term is 0, because its alpha does not depend on
     splats.
     """
     transmittance = wp.where(mesh_z < wp.inf, 0.0, 1.0 - pixels.alpha[pixel])

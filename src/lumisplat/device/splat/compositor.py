@@ -39,7 +39,10 @@ from lumisplat.device.structs.raster import TileRect
 
 
 class Footprint(NamedTuple):
-    """Types and device functions by which compositors evaluate Gaussians at pixels."""
+    """Struct types and device functions by which compositors evaluate one kind of splat at pixels.
+
+    There are two kinds: ellipses in the image, and Gaussians evaluated along pixel rays.
+    """
 
     settings: Any
     """Struct of the rasteriser's settings: at least ``transmittance_min`` and ``depth_iso_transmittance``."""
@@ -48,59 +51,65 @@ class Footprint(NamedTuple):
     pixel_limits: Any
     """Struct of the arrays that limit the splats of each pixel: mesh depths, or rays and their end distances."""
     at: Any
-    """Struct of a splat evaluated at a pixel: at least ``alpha`` and its logarithm."""
+    """Struct type of a splat evaluated at a pixel: at least ``alpha`` and ``log_alpha``."""
 
     # Functions on strips of pixels, used on CPUs.
     tile: Any
-    """Struct of arrays with one value for each pixel of a tile.
-
-    The array ``limit_z`` is the depth from which splats are hidden.
+    """Struct type with one value for each pixel of a tile; its field ``limit_z`` is the depth from which splats are
+    hidden.
     """
     begin_pixel: Any
-    """``(tile, i, view, pixel_limits, x, y) -> float``: sets pixel ``i`` of ``tile`` and returns its limit.
+    """``(tile, i, view, pixel_limits, x, y) -> float``: stores the limit of pixel (x, y) in element i of ``tile``.
 
-    Splats beyond the limit are hidden; a limit of 0 marks a pixel without splats."""
+    Returns the depth or ray distance from which splats are hidden in the pixel; 0: the pixel shows no splats."""
     rows_of: Any
     """``(splat, top, rows) -> vec2i``: returns the first tile row that a splat may touch and the row after the last."""
     row_of: Any
     """``(splat, view, left, top, y) -> row``: evaluates the terms of a splat that all pixels of row ``y`` share."""
     touches_strip: Any
-    """``(splat, row, strip) -> bool``: returns whether a splat may be visible in a strip of adjacent pixels of a row.
+    """``(splat, row, strip) -> bool``: False if the splat is surely invisible in strip ``strip`` of the row.
+
+    A strip is a run of adjacent pixels of a row that vector instructions process together.
     """
     at_pixel: Any
-    """``(splat, row, tile, i, x) -> at``: evaluates a splat at pixel ``i``, column ``x``, of a tile.
+    """``(splat, row, tile, i, x) -> at``: evaluates a splat at pixel i of a tile, in column x.
 
-    ``alpha`` is set to 0 if it is below 1/255.
+    ``alpha`` is 0 where it is below 1/255, and where a mesh hides the splat.
     """
 
     # Functions on single pixels, used on CUDA.
     pixel: Any
-    """Struct of a pixel: at least ``limit_z``, and ``limit``, which is finite if the pixel shows a mesh."""
+    """Struct type of a pixel on CUDA, with ``limit_z``, the depth from which splats are hidden.
+
+    Its ``limit`` is finite if the pixel shows a mesh."""
     pixel_at: Any
-    """``(view, pixel_limits, x, y) -> pixel``: sets up a pixel."""
+    """``(view, pixel_limits, x, y) -> pixel``: returns pixel (x, y) with its limit, and its ray if splats need it."""
     covers: Any
     """``(splat, pixel) -> bool``: tests quickly whether a splat may be visible at a pixel."""
     evaluate: Any
     """``(splat, pixel) -> at``: evaluates a splat at a pixel; ``alpha`` is not set."""
     item: Any
-    """Struct that a thread block stores for a splat in shared memory; one field is ``index``."""
+    """Struct type that stands for a splat in a thread block's shared memory: the splat itself, or only its ``index``.
+    """
     fetch: Any
-    """``(splats, index, item)``: fills an item with the data of splat ``index``."""
+    """``(splats, index, item)``: writes splat ``index``, or a reference to it, to an element of shared memory."""
     splat_of: Any
-    """``(splats, item) -> splat``: returns the splat of an item."""
+    """``(splats, item) -> splat``: returns the splat that ``fetch`` has written to an element of shared memory."""
 
     # Gradients.
     sums: Any
-    """Vector of the sums over pixels from which the gradient of a splat is computed."""
+    """Vector type of a splat's gradient terms, summed over the pixels of a tile before ``gradient_of`` converts them.
+    """
     part_of: Any
-    """``(splat, at, v, weight, by_color) -> sums``: returns one pixel's terms in the sums of a splat.
+    """``(splat, at, v, weight, by_color) -> sums``: returns the gradient terms that one pixel adds to a splat's sums.
 
-    ``v`` is the derivative of the loss with respect to the logarithm of the splat's alpha at the pixel.
+    ``v`` is d loss / d log(alpha) of the splat at the pixel, ``weight`` its blending weight, and ``by_color`` d loss /
+    d colour of the pixel.
     """
     gradient: Any
-    """Struct of a splat's gradient."""
+    """Struct type of the gradient of the loss with respect to a splat, as stored for each tile."""
     gradient_of: Any
-    """``(splat, sums) -> gradient``: converts the sums to a gradient."""
+    """``(splat, sums) -> gradient``: converts a splat's summed gradient terms to the gradient struct."""
 
 
 # --- CPU compositor: the splats of a tile, front to back, each on the strips of pixels that it touches ---
@@ -115,40 +124,42 @@ TILE_OPTIONS = {
     # Fused multiply-adds across Warp's operator functions save 16 % of the composite.
     "cpu_compiler_flags": FUSED_FLAGS,
 }
-"""Module options of kernels that walk tiles."""
+"""Warp module options of CPU kernels that composite tile by tile in vector instructions."""
 
 BATCH = wp.constant(32)
-"""Number of splats of a tile that are processed between two checks for unfinished pixels."""
+"""Number of a tile's splats that the CPU compositor processes before it tests whether all pixels are finished."""
 
 
 class TileVisitor(NamedTuple):
-    """Types and functions that process the splats at the pixels of a tile."""
+    """Struct types and functions that the CPU compositor calls with the splats at the pixels of a tile."""
 
     pixels: Any
-    """Struct of arrays with one value for each pixel of the tile.
+    """Struct type of the visitor's state, one value for each pixel of the tile.
 
-    ``transmittance`` starts at 1; a value of at most 0 marks a finished pixel."""
+    Its field ``transmittance`` starts at 1; a value of at most 0 marks a finished pixel."""
     sums: Any
-    """Vector of a splat's sums over the pixels of the tile."""
+    """Vector type of sums for one splat, into which ``visit`` adds at each pixel of the tile."""
     arrays: Any
-    """Struct of the device arrays that the visitor reads and writes."""
+    """Struct type of the device arrays that the visitor reads and writes."""
     begin_pixel: Any
-    """``(pixels, i, view, x, y, limit, arrays)``: called before all splats, for pixels with a ``limit`` above 0."""
+    """``(pixels, i, view, x, y, limit, arrays)``: starts pixel i of the tile; not called for a ``limit`` of 0."""
     visit: Any
-    """``(pixels, sums, splat, at, i, x, settings)``: processes a splat at pixel ``i``, column ``x`` of its strip."""
+    """``(pixels, sums, splat, at, i, x, settings)``: processes a splat at pixel i, column x of its strip of pixels."""
     end_splat: Any
-    """``(arrays, view, tile, splat, sums)``: called after a splat was visited at all its pixels."""
+    """``(arrays, view, tile, splat, sums)``: stores a splat's ``sums`` after it was visited at all pixels of the tile.
+    """
     pass_by: Any
-    """``(arrays, view, tile, index)``: called instead of ``visit`` for splats that are hidden at all pixels."""
+    """``(arrays, view, tile, index)``: called for the tile's remaining splats once nearer surfaces hide them
+    everywhere."""
     end_pixel: Any
-    """``(pixels, i, view, tile, x, y, settings, arrays)``: called for each pixel after all splats."""
+    """``(pixels, i, view, tile, x, y, settings, arrays)``: stores the result of pixel i after the tile's last splat."""
     is_sorted: bool = True
-    """True if the splats of a tile are sorted by depth."""
+    """True: splats come sorted by depth, so that the tile ends at the first splat hidden in all pixels."""
 
 
 @wp.func
 def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileFloats]) -> StripFloats:
-    """Returns, for each strip, the largest depth limit of its unfinished pixels.
+    """Returns, for each strip of adjacent pixels, the largest ``limit_z`` of unfinished pixels; 0: all are finished.
 
     Splats at this depth or beyond are hidden in the strip.
     """
@@ -162,7 +173,7 @@ def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileF
 
 
 def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
-    """Builds the function that loops over the splats of a tile and calls a visitor at their pixels."""
+    """Builds the CPU compositor of a tile: a function that calls ``visitor`` for each splat at each of its pixels."""
     Settings, Splat, PixelLimits, Tile = footprint.settings, footprint.splat, footprint.pixel_limits, footprint.tile
     Pixels, Sums, Arrays, IS_SORTED = visitor.pixels, visitor.sums, visitor.arrays, visitor.is_sorted
     begin_limit, rows_of, row_of = footprint.begin_pixel, footprint.rows_of, footprint.row_of
@@ -172,10 +183,10 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
 
     @wp.func
     def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
-        """Returns the first entry of a tile's sorted list at or beyond depth ``farthest``; ``end`` if there is none.
+        """Returns the first entry, from ``begin`` to ``end``, of a tile's sorted splats at ``farthest`` or beyond.
 
-        It reads all entries instead of stopping at the first one, so that their memory is fetched at once: the
-        composite takes a seventh less time.
+        It is ``end`` if there is none. All entries are read instead of stopping at the first one, so that their memory
+        is fetched at once: the composite takes a seventh less time.
         """
         visible = int(begin)
         for j in range(begin, end):
@@ -254,22 +265,22 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
 
 
 class PixelVisitor(NamedTuple):
-    """Types and functions that process the splats at a single pixel."""
+    """Struct types and functions that the compositor of a single pixel calls with the splats of its tile."""
 
     state: Any
-    """Struct of the pixel's result; its field ``transmittance`` is at most 0 once the pixel is finished."""
+    """Struct type of the pixel's result; the pixel is finished once its field ``transmittance`` is at most 0."""
     arrays: Any
-    """Struct of the device arrays that the visitor reads and writes."""
+    """Struct type of the device arrays that the visitor reads and writes."""
     wants: Any
-    """``(state, splat) -> bool``: returns whether a splat would change the result if it is visible."""
+    """``(state, splat) -> bool``: returns False for splats that cannot change the result, whatever their alpha."""
     visit: Any
-    """``(state, splat, log_alpha, settings, arrays)``: processes a visible splat."""
+    """``(state, splat, log_alpha, settings, arrays)``: processes a splat whose alpha is at least 1/255 at the pixel."""
     ends_by_depth: bool
-    """True if the tile's splats are sorted, so that the first splat at or beyond ``limit_z`` ends the pixel."""
+    """True: splats come sorted by depth, so that the pixel ends at the first splat at or beyond ``limit_z``."""
 
 
 def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:
-    """Builds the function that loops over the splats of a tile and calls a visitor for one pixel."""
+    """Builds the compositor of one pixel: a function that calls ``visitor`` for each visible splat of its tile."""
     Settings, SplatType, Pixel = footprint.settings, footprint.splat, footprint.pixel
     covers, evaluate = footprint.covers, footprint.evaluate
     State, Arrays, wants, visit, ENDS_BY_DEPTH = visitor
@@ -307,11 +318,11 @@ def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:
 # the sums of all warps for one splat, and writes its record.
 
 WARP_OPTIONS = {"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": TILE_THREADS}
-"""Module options of kernels that walk tiles by warps."""
+"""Warp module options of kernels with one thread block per tile, whose CUDA warps each process a square of pixels."""
 
 
 def backward_walk(footprint: Footprint) -> Any:
-    """Builds the function that writes the gradient records of a tile's splats.
+    """Builds the CUDA function that computes the gradient of each splat of a tile, summed over the tile's pixels.
 
     All threads of a thread block call the function together.
     """
@@ -409,15 +420,15 @@ def backward_walk(footprint: Footprint) -> Any:
 
 @functools.cache
 def backward_arrays(footprint: Footprint) -> Any:
-    """Builds the struct of the arrays that the backward pass reads, and of the gradient records that it writes.
+    """Builds the struct type of the backward pass's arrays: rendered pixels, loss gradients, and gradients of splats.
 
-    There is one record for each splat and each tile that it touches.
+    There is one gradient for each splat and each tile that it touches.
     """
     Gradient = footprint.gradient
 
     @struct
     class BackwardArrays:
-        """Arrays of the backward pass for one type of footprint."""
+        """Arrays that a compositor's backward pass reads, and ``pairs_out``, to which it writes gradients of splats."""
 
         rects: wp.array[TileRect]
         pair_starts: wp.array[int]

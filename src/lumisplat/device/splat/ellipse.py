@@ -19,7 +19,7 @@ load_splat, store_splat = aligned_load_of(Splat), aligned_store_of(Splat)
 
 @wp.func
 def is_finite(splat: Splat) -> bool:
-    """Returns whether no number of a splat that reaches pixels or indices is NaN or infinite."""
+    """Returns whether all numbers of a splat that affect pixels and indices are finite; its depth is not tested."""
     total = splat.color[0] + splat.color[1] + splat.color[2] + splat.center[0] + splat.center[1]
     total += splat.along + splat.shear + splat.across + splat.normal[0] + splat.normal[1] + splat.normal[2]
     return wp.isfinite(total) and splat.extent[0] < wp.inf and splat.extent[1] < wp.inf
@@ -27,7 +27,7 @@ def is_finite(splat: Splat) -> bool:
 
 @wp.func
 def tile_range(camera: CameraData, splat: Splat) -> TileRect:
-    """Returns the tiles of the window whose pixel centres the splat's box covers."""
+    """Returns the tiles of the rendered image that contain a pixel centre within the splat's bounding box."""
     rect = TileRect()
     low = splat.center - splat.extent - wp.vec2(0.5)
     high = splat.center + splat.extent - wp.vec2(0.5)
@@ -49,7 +49,10 @@ def tile_range(camera: CameraData, splat: Splat) -> TileRect:
 
 @wp.func
 def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
-    """Returns the first row of a tile whose pixel centres a splat's box covers, and the row after the last."""
+    """Returns the first row of a tile with pixel centres within the splat's bounding box, and the row after the last.
+
+    Rows count from the tile's top; ``top`` is the tile's first row in the frame, ``rows`` its number of rows.
+    """
     center_y = splat.center[1] - float(top)
     first = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
     last = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1))))
@@ -58,22 +61,22 @@ def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
 
 @struct
 class EllipseTile:
-    """Depth limits of a tile's pixels."""
+    """For each pixel of a tile, the view depth from which splats are hidden by a mesh."""
 
     limit_z: TileFloats
-    """View depth of the nearest mesh at each pixel; inf: none."""
+    """View depth of the nearest mesh at each pixel of the tile; inf: no mesh."""
 
 
 @struct
 class EllipseRow:
-    """A splat evaluated on a row of a tile."""
+    """Terms of a splat's alpha that all pixels of one row of a tile share."""
 
     dy: float
-    """Vertical distance from the splat's centre, pixels."""
+    """Row centre minus the splat's centre along y, pixels."""
     log_alpha: float
-    """Logarithm of the largest alpha on the row."""
+    """Natural logarithm of the splat's largest alpha along the row."""
     center: float
-    """Column of the row's largest alpha, pixels from the tile's left edge."""
+    """x at which the splat's alpha is largest along the row, pixels from the tile's left edge."""
 
 
 @struct
@@ -81,18 +84,18 @@ class EllipseAt:
     """A splat evaluated at a pixel."""
 
     alpha: float
-    """Alpha; 0 below 1/255 and behind a mesh."""
+    """Alpha of the splat at the pixel; 0 if it is below 1/255 or a mesh hides the splat."""
     log_alpha: float
-    """Logarithm of alpha before clamping."""
+    """Natural logarithm of alpha before alpha is limited to 0.99 and cut off below 1/255."""
     dx: float
-    """Horizontal distance from the position of the row's largest alpha, pixels."""
+    """Pixel centre minus the x of the splat's largest alpha in this row, pixels."""
     dy: float
-    """Vertical distance from the splat's centre, pixels."""
+    """Pixel centre minus the splat's centre along y, pixels."""
 
 
 @wp.func
 def begin_pixel(tile: wp.ref[EllipseTile], i: int, view: CameraData, meshes: MeshPixels, x: int, y: int) -> float:
-    """Stores and returns the depth of the mesh behind a pixel."""
+    """Stores and returns the view depth of the nearest mesh at pixel (x, y); inf: no mesh."""
     limit = meshes.depth_z[image_index(view, x, y)]
     set_at(tile.limit_z, i, limit)
     return limit
@@ -100,7 +103,10 @@ def begin_pixel(tile: wp.ref[EllipseTile], i: int, view: CameraData, meshes: Mes
 
 @wp.func
 def row_of(splat: Splat, view: CameraData, left: int, top: int, y: int) -> EllipseRow:
-    """Evaluates a splat on row ``y`` of the tile whose corner is at (left, top)."""
+    """Computes the terms of a splat's alpha that all pixels of row ``y`` of a tile share.
+
+    ``left`` and ``top`` are the tile's corner in the frame; ``y`` counts from ``top``.
+    """
     row = EllipseRow()
     row.dy = float(y) + 0.5 - (splat.center[1] - float(top))
     row.log_alpha = splat.log_opacity - splat.across * row.dy * row.dy
@@ -110,7 +116,10 @@ def row_of(splat: Splat, view: CameraData, left: int, top: int, y: int) -> Ellip
 
 @wp.func
 def touches_strip(splat: Splat, row: EllipseRow, strip: int) -> bool:
-    """Returns whether a splat is visible at a pixel of a strip of the row."""
+    """Returns whether the splat's alpha is at least 1/255 at some pixel of the row's strip number ``strip``.
+
+    A strip is a run of adjacent pixels of a row that vector instructions process together.
+    """
     first = float(strip * STRIP) + 0.5
     dx = wp.clamp(row.center, first, first + float(STRIP - 1)) - row.center
     return row.log_alpha - splat.along * dx * dx >= LOG_ALPHA_MIN
@@ -118,7 +127,7 @@ def touches_strip(splat: Splat, row: EllipseRow, strip: int) -> bool:
 
 @wp.func
 def at_pixel(splat: Splat, row: EllipseRow, tile: wp.ref[EllipseTile], i: int, x: int) -> EllipseAt:
-    """Evaluates a splat at pixel ``i`` of a tile, in column ``x``."""
+    """Returns the splat's alpha at pixel ``i`` of a tile, in column ``x``, with the terms that gradients need."""
     at = EllipseAt()
     at.dx = float(x) + 0.5 - row.center
     at.dy = row.dy
@@ -129,19 +138,20 @@ def at_pixel(splat: Splat, row: EllipseRow, tile: wp.ref[EllipseTile], i: int, x
 
 @struct
 class EllipsePixel:
-    """A pixel and its depth limit."""
+    """A pixel's centre, and the view depth from which a mesh hides splats."""
 
     center: wp.vec2
     """Pixel centre in the full frame, pixels."""
     limit_z: float
-    """View depth of the nearest mesh; inf: none."""
+    """View depth of the nearest mesh at the pixel, from which splats are hidden; inf: no mesh."""
     limit: float
-    """Equal to ``limit_z``: the depth at which the pixel ends."""
+    """View depth of the nearest mesh at the pixel; inf: no mesh. It equals ``limit_z``, which splats along rays do not
+    use."""
 
 
 @wp.func
 def pixel_at(view: CameraData, meshes: MeshPixels, x: int, y: int) -> EllipsePixel:
-    """Sets up a pixel of the full frame."""
+    """Returns centre and mesh depth of pixel (x, y) of the full frame."""
     pixel = EllipsePixel()
     pixel.center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
     pixel.limit_z = meshes.depth_z[image_index(view, x, y)]
@@ -151,13 +161,13 @@ def pixel_at(view: CameraData, meshes: MeshPixels, x: int, y: int) -> EllipsePix
 
 @wp.func
 def covers(splat: Splat, pixel: EllipsePixel) -> bool:
-    """Returns True, because no test is faster than ``evaluate``."""
+    """Returns True: for ellipses, no test is faster than evaluating the splat."""
     return True
 
 
 @wp.func
 def evaluate(splat: Splat, pixel: EllipsePixel) -> EllipseAt:
-    """Evaluates a splat at a pixel, regardless of the depth limit; leaves ``alpha`` for the caller to set."""
+    """Evaluates the logarithm of a splat's alpha at a pixel, even behind a mesh; the caller sets ``alpha``."""
     at = EllipseAt()
     at.dy = pixel.center[1] - splat.center[1]
     at.dx = pixel.center[0] - splat.center[0] - splat.shear * at.dy
@@ -169,9 +179,9 @@ def evaluate(splat: Splat, pixel: EllipsePixel) -> EllipseAt:
 def first_touching(
     splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, pixel: EllipsePixel, is_marked: bool
 ) -> int:
-    """Returns the first splat of a sorted list that is visible at a pixel; -1: none.
+    """Returns the first splat of a tile's sorted list that is visible at a pixel in front of the mesh; -1: none.
 
-    ``is_marked``: count only splats whose normal's first component is positive.
+    The list is ``tile_splats`` from ``begin`` to ``end``. ``is_marked``: only splats with ``normal[0] > 0`` count.
     """
     for j in range(begin, end):
         index = tile_splats[j]
@@ -184,7 +194,7 @@ def first_touching(
 
 @wp.func
 def sum_of_pairs(pairs: wp.array[SplatGradient], begin: int, end: int) -> SplatGradient:
-    """Returns the sum of the gradient records of a splat."""
+    """Returns the sum of ``pairs`` from ``begin`` to ``end``: a splat's gradients in all tiles that it touches."""
     total = SplatGradient()
     for k in range(begin, end):
         part = pairs[k]
@@ -200,17 +210,19 @@ def sum_of_pairs(pairs: wp.array[SplatGradient], begin: int, end: int) -> SplatG
 
 
 PairFloats = wp.types.vector(length=12, dtype=wp.float32)
-"""Vector of the sums over pixels from which the gradient of a splat is computed.
+"""Vector of sums over a tile's pixels from which the gradient of a splat is computed.
 
-They are the sums of v, v dx, v dx^2, v dy, v dx dy and v dy^2, of the gradient by colour, of the weight, and of the
-magnitudes of the terms that move the centre. v is the derivative of the loss with respect to the logarithm of alpha."""
+The sums are those of v, v dx, v dx^2, v dy, v dx dy and v dy^2, of the colour gradient (3), of the blending weight, and
+of the absolute values of the two terms that move the centre. v is d loss / d log(alpha) at a pixel, (dx, dy) the
+pixel's position in ``EllipseAt``."""
 
 
 @wp.func
 def part_of(splat: Splat, at: EllipseAt, v: float, weight: float, by_color: wp.vec3) -> PairFloats:
-    """Returns one pixel's terms in the sums of a splat.
+    """Returns the gradient terms that one pixel adds to a splat's sums, in the order of ``PairFloats``.
 
-    ``v`` is the derivative of the loss with respect to the logarithm of the splat's alpha at the pixel.
+    ``v`` is d loss / d log(alpha) of the splat at the pixel, ``weight`` its blending weight, and ``by_color`` d loss /
+    d colour of the pixel.
     """
     vx = v * at.dx
     slope = splat.along * vx
@@ -232,7 +244,7 @@ def part_of(splat: Splat, at: EllipseAt, v: float, weight: float, by_color: wp.v
 
 @wp.func
 def gradient_of(splat: Splat, sums: PairFloats) -> SplatGradient:
-    """Converts a splat's sums over pixels to its gradient."""
+    """Converts the sums of a splat's gradient terms, ordered as ``PairFloats``, to its gradient."""
     record = SplatGradient()
     record.log_opacity = sums[0]
     record.center = wp.vec2(
@@ -282,4 +294,4 @@ ELLIPSE = Footprint(
     gradient=SplatGradient,
     gradient_of=gradient_of,
 )
-"""Footprint of Gaussians as ellipses in the image (EWA)."""
+"""Struct types and functions by which compositors evaluate projected Gaussians as ellipses in the image (EWA)."""

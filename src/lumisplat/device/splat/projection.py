@@ -18,7 +18,7 @@ from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 @struct
 class SplatOrigin:
-    """Gradient of the loss with respect to a splat's Gaussian and to the camera."""
+    """Gradient of the loss with respect to the Gaussian that a splat was projected from, and to the camera."""
 
     mean: wp.vec3
     rotation: wp.quat
@@ -31,14 +31,13 @@ class SplatOrigin:
 # Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
 
 BEYOND_HORIZON = 0.5
-"""Sine of 30 degrees: a normal that points away from the eye by up to this angle beyond the horizon counts as facing
-it.
+"""Sine of 30 degrees: a normal up to 30 degrees beyond the horizon of the eye counts as facing the eye.
 
 A normal slightly beyond the horizon belongs to a surface that curves away; one farther beyond belongs to a surface seen
 from behind (docs/method/gaussians.md#normals)."""
 
 HORIZON_COSINE = 0.02
-"""Cosine to the direction of the eye that normals beyond the horizon are clamped to: one degree above the horizon.
+"""Cosine, to the direction of the eye, of a normal that was clamped to the horizon: one degree above it.
 
 At 0, rounding would decide whether a surface is visible."""
 
@@ -96,7 +95,7 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 
 @wp.func
 def towards(normal: wp.vec3, to_eye: wp.vec3, beyond: float) -> wp.vec3:
-    """Returns the unit normal, or its opposite if it faces away from the eye by more than the cosine ``beyond``.
+    """Returns the unit normal, flipped if its cosine with the direction to the eye is below ``-beyond``.
 
     For pixels, ``beyond`` is ``BEYOND_MAX``, because silhouettes show Gaussians with normals slightly beyond the
     horizon (docs/method/gaussians.md#normals). For light, which may arrive on either side of a sheet, it is 0.
@@ -106,7 +105,7 @@ def towards(normal: wp.vec3, to_eye: wp.vec3, beyond: float) -> wp.vec3:
 
 @wp.func
 def above_horizon(direction: wp.vec3, axis: wp.vec3) -> wp.vec3:
-    """Returns a unit direction, clamped to the horizon of a unit axis if it lies below."""
+    """Returns a unit direction; if it points below the plane orthogonal to ``axis``, it is rotated to just above it."""
     cosine = wp.dot(direction, axis)
     if cosine >= 0.0:
         return direction
@@ -117,7 +116,7 @@ def above_horizon(direction: wp.vec3, axis: wp.vec3) -> wp.vec3:
 def shown_color(
     sh_degree: int, instance: SplatInstanceData, gaussians: GaussianData, i: int, to_eye: wp.vec3
 ) -> wp.vec3:
-    """Returns the display-referred colour of Gaussian ``i`` of an instance.
+    """Returns the display-referred colour of Gaussian ``i``: its SH colour or, for ``shows_albedo``, its albedo.
 
     ``to_eye`` is the vector from the Gaussian's mean to the eye, object space.
     """
@@ -132,7 +131,7 @@ def shown_color(
 def shown_normal(
     instance: SplatInstanceData, gaussians: GaussianData, i: int, rotation: wp.mat33, to_eye: wp.vec3
 ) -> wp.vec3:
-    """Returns the world-space unit normal of Gaussian ``i`` of an instance: stored, or of its max-density plane.
+    """Returns the world-space unit normal of Gaussian ``i``: stored, or that of its max-density plane.
 
     ``rotation`` is that of the Gaussian; ``to_eye`` is the vector from its mean to the eye, object space.
     """
@@ -232,7 +231,7 @@ def visible_alpha(log_alpha: float) -> float:
 def depth_plane(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> wp.vec3:
-    """Returns the vector k such that Gaussian ``i`` responds most on ray r at the view depth k . r.
+    """Returns the vector k such that Gaussian ``i`` responds most on camera ray r, z = 1, at view depth ``dot(k, r)``.
 
     The Gaussian is widened as its splat is: ``dilation`` is the variance added to the projected covariance, pixel^2.
     The Gaussian must lie beyond the near plane.
@@ -278,7 +277,7 @@ def splat_dot(
     antialiased: float,
     gradient: SplatGradient,
 ) -> wp.float32:
-    """Returns ``gradient . splat`` for the splat of ``project_gaussian``, without its colour; Warp differentiates it.
+    """Returns ``dot(gradient, splat)`` over all splat fields but the colour; Warp differentiates it for gradients.
 
     The opacity compensation of a Gaussian seen edge-on is almost 0, with an almost infinite derivative with respect to
     the scales: below a floor, as in gsplat, the compensation is taken as constant.
@@ -327,10 +326,7 @@ def splat_origin(
     i: int,
     gradient: SplatGradient,
 ) -> SplatOrigin:
-    """Returns the gradients of Gaussian ``i`` of an instance and of the camera, except those through the colour.
-
-    ``gradient`` is the gradient of the loss with respect to the Gaussian's splat.
-    """
+    """Converts the gradient of a splat to gradients of its Gaussian ``i`` and the camera, except through the colour."""
     (
         mean,
         rotation,
@@ -370,9 +366,9 @@ def splat_origin(
 
 @wp.func
 def color_dot(mean: wp.vec3, eye: wp.vec3, degree: int, weights: ShFloats) -> wp.float32:
-    """Returns the weighted sum of SH basis functions in the direction from the eye to a Gaussian's mean.
+    """Returns the sum of ``weights`` times the SH basis functions in the direction from ``eye`` to ``mean``.
 
-    Its derivatives with respect to the weights are the basis functions.
+    Differentiated by the weights, it gives the basis functions; by ``mean`` and ``eye``, the gradient of a colour.
     """
     direction = wp.normalize(mean - eye)
     x = direction[0]
@@ -411,7 +407,7 @@ def sh_weights(sh: wp.array[wp.vec3], first: int, degree: int, gradient: wp.vec3
 
 @wp.func
 def open_channels(color: wp.vec3, gradient: wp.vec3) -> wp.vec3:
-    """Zeroes the gradient of a colour in channels that are clamped at 0."""
+    """Returns ``gradient`` with 0 in the channels where ``color`` is clamped at 0."""
     return wp.vec3(
         wp.where(color[0] > 0.0, gradient[0], 0.0),
         wp.where(color[1] > 0.0, gradient[1], 0.0),

@@ -15,99 +15,99 @@ from lumisplat.device.structs.raster import PixelBox
 
 @struct
 class WorldGaussian:
-    """A Gaussian relative to the eye, world space."""
+    """A Gaussian in world space, relative to the eye and widened by the footprint of a pixel."""
 
     point: wp.vec3
-    """Mean relative to the eye; with a rolling shutter, to the eye at the start of the first row."""
+    """Mean relative to the eye, world space; with a rolling shutter, relative to the eye at the first row's start."""
     axes: wp.mat33
-    """Unit axes as columns."""
+    """Unit axes of the Gaussian as matrix columns, world space."""
     scale: wp.vec3
     """Standard deviations, widened by the footprint of a pixel."""
 
 
 @struct
 class ImageMoments:
-    """Mean and covariance of a projected Gaussian."""
+    """Mean and covariance of a Gaussian's projection to the image, with the error of the estimate."""
 
     mean: wp.vec2
     """Mean, pixels."""
     xx: float
-    """Variance along x, pixels^2."""
+    """Variance of the projected Gaussian along x, pixel^2."""
     xy: float
     yy: float
     error: float
-    """Residual of the rolling shutter's row iteration, pixels."""
+    """Rolling shutter: largest last step of the iterations that find the row exposing a sigma point, pixels."""
 
 
 @struct
 class ImageBounds:
-    """A rectangle of the image, pixels; inf: unbounded."""
+    """Axis-aligned rectangle in the image, pixels; corners may be -inf and inf, for no bound."""
 
     low: wp.vec2
     high: wp.vec2
 
 
 UNSCENTED_ALPHA = 1.0
-"""Spread of the sigma points, as in 3DGUT.
+"""alpha of the unscented transform, the spread of its sigma points, as in 3DGUT.
 
 With ``UNSCENTED_BETA`` and ``UNSCENTED_KAPPA``, the points lie sqrt(3) standard deviations from the mean."""
 
 UNSCENTED_BETA = 2.0
-"""Prior knowledge of the distribution; 2 is optimal for a Gaussian (Wan and van der Merwe 2000)."""
+"""beta of the unscented transform; 2 is optimal for a Gaussian (Wan and van der Merwe 2000)."""
 
 UNSCENTED_KAPPA = 0.0
-"""Secondary spread parameter of the sigma points."""
+"""kappa of the unscented transform, which adds to the spread of its sigma points."""
 
 UNSCENTED_SINE_MAX = 0.02
-"""Largest ratio of a Gaussian's half size to its distance from singularities of the projection for sigma points.
+"""Largest ratio of a Gaussian's radius to its distance from singularities of the projection, for sigma points.
 
-Sigma points sample the projection along three axes only and extrapolate. Where the projection curves within the
-Gaussian, their bounds miss parts of the image; such Gaussians are bounded by their outline."""
+Larger Gaussians are bounded by their outline instead: sigma points sample the projection along three axes only, and
+their bounds miss parts of the image where the projection curves within the Gaussian."""
 
 PLANE_SHARE = 5.0
-"""Factor by which `leeway` multiplies the distance of a Gaussian to a pinhole's plane.
+"""A pinhole's plane through the eye counts as this many times farther from a Gaussian than it is.
 
-Within a Gaussian of ``UNSCENTED_SINE_MAX`` times the multiplied distance, the tangents of the projection then grow by
-at most a tenth."""
+It is the factor in `leeway`. Within a Gaussian of ``UNSCENTED_SINE_MAX`` times the multiplied distance, the tangents of
+the projection grow by at most a tenth."""
 
 UNSCENTED_MARGIN = 0.1
-"""Relative margin of bounds by sigma points.
+"""Fraction by which bounds from sigma points are enlarged.
 
 It covers the curvature of projections for Gaussians up to ``UNSCENTED_SINE_MAX`` in size."""
 
 UNSCENTED_SLACK_PX = 0.5
-"""Absolute margin of bounds by sigma points, pixels, for lenses whose magnification nearly vanishes at their edge."""
+"""Pixels by which bounds are enlarged besides, for lenses whose magnification nearly vanishes at their edge."""
 
 OUTLINE_POINTS = 16
-"""Number of points around the outline of a large Gaussian."""
+"""Number of points around the outline of a Gaussian that is too large for sigma points."""
 
 OUTLINE_SLACK = 0.5
-"""Margin of the outline's bounds as a fraction of the points' largest second difference.
+"""Margin of bounds from outline points, as a fraction of the largest second difference of successive points.
 
 It is four times the deviation of a smooth curve from the chord between two points."""
 
 OUTLINE_MARGIN = 0.1
-"""Relative margin by which the outline is widened in the test whether it contains the camera's backward axis.
+"""Fraction by which a Gaussian's outline is widened in the test whether it contains the camera's backward axis.
 
 The image of such an outline surrounds the image centre."""
 
 _SPREAD2 = UNSCENTED_ALPHA**2 * (3.0 + UNSCENTED_KAPPA)
 
 SPREAD = wp.constant(wp.float32(math.sqrt(_SPREAD2)))
-"""Distance of the sigma points from the mean, standard deviations."""
+"""Distance of the sigma points from the mean, in standard deviations of the Gaussian."""
 
 OUTER_WEIGHT = wp.constant(wp.float32(0.5 / _SPREAD2))
-"""Weight of each sigma point except the first."""
+"""Weight, in mean and covariance, of each of the six sigma points off the Gaussian's mean."""
 
 COVARIANCE_WEIGHT = wp.constant(wp.float32(2.0 - 3.0 / _SPREAD2 - UNSCENTED_ALPHA**2 + UNSCENTED_BETA))
-"""Weight of the first sigma point in the covariance; it may be negative."""
+"""Weight of the sigma point at the Gaussian's mean in the covariance; it may be negative."""
 
 OuterPoints = wp.types.matrix(shape=(6, 2), dtype=wp.float32)
 
 
 @wp.func
 def add_point(moments: ImageMoments, weight: float, offset: wp.vec2) -> ImageMoments:
-    """Adds a weighted point to the covariance of a projected Gaussian; ``offset`` is relative to its mean, pixels."""
+    """Adds a weighted sigma point to a covariance; ``offset`` is its image position relative to the mean, pixels."""
     moments.xx += weight * offset[0] * offset[0]
     moments.xy += weight * offset[0] * offset[1]
     moments.yy += weight * offset[1] * offset[1]
@@ -116,7 +116,10 @@ def add_point(moments: ImageMoments, weight: float, offset: wp.vec2) -> ImageMom
 
 @wp.func
 def projected_moments(camera: CameraData, field: float, gaussian: WorldGaussian) -> ImageMoments:
-    """Returns mean and covariance of a projected Gaussian, estimated by sigma points; exact for affine projections."""
+    """Estimates mean and covariance of a projected Gaussian by sigma points; exact for affine projections.
+
+    ``field`` is the tangent of the off-axis angle beyond which a pinhole is extended linearly.
+    """
     points = OuterPoints()
     moments = ImageMoments()
     first = pixel_at_row_time(camera, field, gaussian.point)
@@ -146,8 +149,7 @@ HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
 STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
 
 WIDER = wp.constant(wp.float32(1.0 / math.cos(math.pi / OUTLINE_POINTS)))
-"""Circumradius over inradius of a polygon with ``OUTLINE_POINTS`` corners, which makes the polygon contain the circle.
-"""
+"""Circumradius over inradius of a regular polygon with ``OUTLINE_POINTS`` corners: it then encloses the circle."""
 
 AROUND = wp.constant(wp.float32((1.0 + OUTLINE_MARGIN) / math.cos(math.pi / OUTLINE_POINTS)))
 
@@ -179,7 +181,7 @@ def everywhere() -> ImageBounds:
 
 @wp.func
 def sigma_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
-    """Returns the image bounds of a Gaussian of canonical radius ``reach``, estimated by sigma points."""
+    """Returns the image bounds, by sigma points, of a Gaussian out to ``reach`` standard deviations."""
     moments = projected_moments(camera, field, gaussian)
     extent = MARGIN * reach * wp.vec2(wp.sqrt(moments.xx), wp.sqrt(moments.yy)) + wp.vec2(moments.error + SLACK_PX)
     bounds = ImageBounds()
@@ -199,9 +201,9 @@ def across_of(vector: wp.vec3) -> wp.vec3:
 
 @wp.func
 def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
-    """Returns how far a curve around the image centre may bulge beyond the chord of two points, pixels.
+    """Bounds how far a curve around the image centre bulges beyond the chord between two of its points, pixels.
 
-    ``before`` and ``after`` are relative to the image centre. The result is inf if they are over 45 degrees apart.
+    ``before`` and ``after`` are the points relative to the image centre; inf if they are over 45 degrees apart.
     """
     lengths = wp.length(before) * wp.length(after)
     if wp.dot(before, after) < HALF_RIGHT * lengths:
@@ -211,10 +213,10 @@ def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
 
 @wp.func
 def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
-    """Returns the distance of a point, relative to the eye, from the nearest singularity of the projection.
+    """Returns the distance, scene units, of a point relative to the eye from the projection's nearest singularity.
 
-    The eye is a singularity. For a fisheye, so is the half-line against its axis, whose image is a circle. For a
-    pinhole, so is the plane through the eye, near which tangents grow.
+    The eye is a singularity. For a fisheye, so is the half-line behind the eye, whose image is a circle. For a pinhole,
+    so is the plane through the eye, near which tangents grow; its distance is multiplied by ``PLANE_SHARE``.
     """
     ahead = -wp.dot(point, backward)
     if camera.model != FISHEYE:
@@ -226,7 +228,11 @@ def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
 
 @wp.func
 def is_around(eye: wp.vec3, away: wp.vec3, reach: float) -> bool:
-    """Returns whether a direction in canonical space lies within or close to the cone of the outline's points."""
+    """Returns whether direction ``away`` from the eye lies within or close to the cone around a Gaussian's outline.
+
+    ``eye`` and ``away`` are in the Gaussian's canonical space, where the outline is seen on a sphere of radius
+    ``reach``.
+    """
     across = wp.length(wp.cross(eye, away))
     along = -wp.dot(eye, away)
     return across * wp.sqrt(wp.length_sq(eye) - reach * reach) <= AROUND * reach * along
@@ -242,13 +248,12 @@ def outline_bounds(
     backward: wp.vec3,
     reach: float,
 ) -> ImageBounds:
-    """Returns the image bounds of points around the outline of a Gaussian's bounding ellipsoid.
+    """Returns the image bounds of a Gaussian's bounding ellipsoid by points around its outline as the eye sees it.
 
-    The outline is where rays from the eye touch the ellipsoid; the points are the corners of a polygon around it.
-
-    ``eye`` is the eye's position in canonical space, outside the ellipsoid, at ``time`` of the shutter, when the mean
-    is exposed. ``backward`` is opposite to the camera's axis, world space; ``reach`` is the Gaussian's canonical
-    radius.
+    The points are the corners of a polygon around the curve where rays from the eye touch the ellipsoid. ``eye`` is the
+    eye's position in canonical space, outside the ellipsoid, at ``time`` of the shutter, when the mean is exposed.
+    ``backward`` is opposite to the camera's axis, world space; ``reach`` is the ellipsoid's radius in standard
+    deviations.
     """
     distance2 = wp.length_sq(eye)
     middle = (reach * reach / distance2) * eye
@@ -292,7 +297,7 @@ def outline_bounds(
 
 @wp.func
 def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
-    """Returns image bounds of the pixels whose rays pass within canonical distance ``reach`` of a Gaussian.
+    """Returns image bounds of all pixels whose rays pass a Gaussian within ``reach`` standard deviations.
 
     The bounds refer to the positions of the samples in the pixels.
     """
@@ -319,7 +324,7 @@ def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, r
 
 @wp.func
 def pixel_box(camera: CameraData, bounds: ImageBounds) -> PixelBox:
-    """Returns the window's pixels whose samples lie within bounds; empty if the bounds are NaN."""
+    """Returns the pixels of the rendered image whose samples lie within ``bounds``; empty if the bounds are NaN."""
     box = PixelBox()
     low = bounds.low - camera.offset
     high = bounds.high - camera.offset

@@ -23,12 +23,15 @@ from lumisplat.device.structs.raster import PixelBox, PixelRays, RayRasterData, 
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 DEPTH_MIN = wp.constant(wp.float32(1.0e-30))
-"""Smallest sorting depth: Gaussians whose means lie behind the eye but that reach around it come first."""
+"""Smallest depth by which splats are sorted, given to Gaussians around the eye whose means lie behind it."""
 
 
 @wp.func
 def pixel_variance(camera: CameraData, view: wp.vec3) -> float:
-    """Returns the squared width of a pixel at a camera-space point, by the solid angle of its ray; scene units^2."""
+    """Returns the squared width of a pixel at camera-space point ``view``: its solid angle times the squared distance.
+
+    The unit is scene units squared.
+    """
     per_pixel = 1.0 / (camera.focal[0] * camera.focal[1])
     distance2 = wp.length_sq(view)
     if camera.model == FISHEYE:
@@ -44,7 +47,10 @@ def pixel_variance(camera: CameraData, view: wp.vec3) -> float:
 def widened_gaussian(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int, time: float
 ) -> WorldGaussian:
-    """Returns Gaussian ``i`` of an instance, widened by the footprint of a pixel that exposes its mean at ``time``."""
+    """Returns Gaussian ``i``, world space, widened by the width of a pixel at its mean unless it is antialiased.
+
+    ``time`` is the shutter time at which the mean is exposed, 0 for the first row and 1 for the last.
+    """
     gaussian = WorldGaussian()
     gaussian.point = instance.scale * (instance.world_from_object * (gaussians.means[i] - instance.eye))
     gaussian.axes = instance.world_from_object * wp.quat_to_matrix(gaussians.rotations[i])
@@ -58,7 +64,7 @@ def widened_gaussian(
 
 @wp.func
 def exposure_time(camera: CameraData, field: float, instance: SplatInstanceData, mean: wp.vec3) -> float:
-    """Returns the time at which a mean is exposed, as a fraction of the time from the first row to the last."""
+    """Returns the shutter time at which the row that shows a mean is exposed: 0 for the first row, 1 for the last."""
     if camera.shutter == 0:
         return 0.0
     point = instance.scale * (instance.world_from_object * (mean - instance.eye))
@@ -75,9 +81,9 @@ def eye_at(camera: CameraData, instance: SplatInstanceData, time: float) -> wp.v
 
 @wp.func
 def is_too_near(camera: CameraData, gaussian: WorldGaussian, view: wp.vec3, axes: wp.mat33, reach: float) -> bool:
-    """Returns whether all of a Gaussian is nearer than the near plane or behind the eye.
+    """Returns whether a Gaussian, out to ``reach`` standard deviations, lies completely before the near plane.
 
-    ``axes`` are the Gaussian's unit axes as columns, camera space.
+    ``view`` is its mean and ``axes`` are its unit axes as columns, both in camera space.
     """
     if camera.model == FISHEYE:
         return wp.length(view) + reach * wp.max(gaussian.scale) <= camera.near
@@ -88,7 +94,7 @@ def is_too_near(camera: CameraData, gaussian: WorldGaussian, view: wp.vec3, axes
 def ray_splat(
     camera: CameraData, raster: RayRasterData, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> RaySplat:
-    """Prepares Gaussian ``i`` of an instance; its box is empty if it cannot be visible."""
+    """Prepares Gaussian ``i`` of an instance for evaluation along rays; its box is empty if no pixel shows it."""
     splat = RaySplat()
     splat.index = instance.first + i
     opacity = gaussians.opacities[i]
@@ -124,7 +130,7 @@ def ray_splat(
 
 @wp.func
 def is_finite(splat: RaySplat) -> bool:
-    """Returns whether no number of a splat that reaches pixels is NaN or infinite."""
+    """Returns whether all numbers of a splat that affect pixels are finite."""
     total = splat.color[0] + splat.color[1] + splat.color[2] + splat.normal[0] + splat.normal[1] + splat.normal[2]
     total += splat.eye[0] + splat.eye[1] + splat.eye[2] + splat.depth
     for k in range(3):
@@ -135,7 +141,7 @@ def is_finite(splat: RaySplat) -> bool:
 
 @wp.func
 def tiles_of(camera: CameraData, box: PixelBox) -> TileRect:
-    """Returns the tiles of the window that a non-empty box covers."""
+    """Returns the tiles of the rendered image that a non-empty pixel box covers."""
     rect = TileRect()
     rect.x0 = wp.int16((box.x0 - camera.left) // TILE)
     rect.y0 = wp.int16((box.y0 - camera.top) // TILE)
@@ -146,20 +152,19 @@ def tiles_of(camera: CameraData, box: PixelBox) -> TileRect:
 
 @wp.func
 def eye_of_row(splat: RaySplat, motion: wp.vec3, time: float) -> wp.vec3:
-    """Returns the eye in a Gaussian's canonical space at a time of the shutter: 0 at the first row, 1 at the last.
+    """Returns the eye, in a Gaussian's canonical space, at shutter time ``time``: 0 at the first row, 1 at the last.
 
-    ``motion`` is the translation of the eye from the first to the last row.
+    ``motion`` is the movement of the eye from the first to the last row, world space.
     """
     return splat.eye + time * (splat.canonical_from_world * motion)
 
 
 @struct
 class RayTile:
-    """Rays of a tile's pixels."""
+    """For each pixel of a tile, its ray and where the ray ends."""
 
     limit_z: TileFloats
-    """Depth limit: inf for every pixel, because Gaussians end at a distance along the ray (``t_max``) instead of a
-    depth."""
+    """Always inf: no depth hides splats along rays, which end at a distance, ``t_max``, instead."""
     x: TileFloats
     """x component of each pixel's ray direction, world space."""
     y: TileFloats
@@ -170,14 +175,14 @@ class RayTile:
 
 @struct
 class RayRow:
-    """A Gaussian prepared for the rays of a row of a tile."""
+    """Terms of a Gaussian that the rays of one row of a tile share."""
 
     eye: wp.vec3
-    """Eye in the Gaussian's canonical space."""
+    """Eye at the row's exposure, in the Gaussian's canonical space."""
     left: int
-    """First column of the Gaussian's pixel box, from the tile's left edge."""
+    """First column of the Gaussian's pixel box, counted from the tile's left edge."""
     right: int
-    """Column after the last one of the Gaussian's pixel box, from the tile's left edge."""
+    """Column after the last of the Gaussian's pixel box, counted from the tile's left edge."""
 
 
 @struct
@@ -185,20 +190,20 @@ class RayAt:
     """A Gaussian evaluated along one ray."""
 
     alpha: float
-    """Alpha; 0 if below 1/255, outside the Gaussian's pixel box, and where the ray does not reach the Gaussian."""
+    """Largest alpha of the Gaussian along the ray; 0 if below 1/255, outside the pixel box or beyond the ray's end."""
     along: wp.vec3
-    """Ray direction in canonical space."""
+    """Direction of the ray in the Gaussian's canonical space, not normalised."""
     across: wp.vec3
-    """Cross product of the canonical eye and ``along``."""
+    """``cross(eye, along)`` in canonical space; its length over that of ``along`` is the distance of mean and ray."""
     length2: float
     """Squared length of ``along``."""
     log_alpha: float
-    """Logarithm of alpha before clamping."""
+    """Natural logarithm of the largest alpha along the ray, before it is limited to 0.99 and cut off below 1/255."""
 
 
 @wp.func
 def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, pixel_rays: PixelRays, x: int, y: int) -> float:
-    """Stores the ray of a pixel and returns where it ends; 0: there is no ray."""
+    """Stores the ray of pixel (x, y) and returns the distance at which it ends; 0: the pixel has no ray."""
     ray = ray_index(view, x, y)
     if not pixel_rays.rays.is_active[ray]:
         return 0.0
@@ -214,13 +219,19 @@ def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, pixel_rays: Pix
 
 @wp.func
 def rows_of(splat: RaySplat, top: int, rows: int) -> wp.vec2i:
-    """Returns the first row of a tile that a splat's pixel box covers, and the row after the last."""
+    """Returns the first row of a tile that a splat's pixel box covers, and the row after the last.
+
+    Rows count from the tile's top; ``top`` is the tile's first row in the frame, ``rows`` its number of rows.
+    """
     return wp.vec2i(wp.max(splat.box.y0 - top, 0), wp.min(splat.box.y1 - top, rows))
 
 
 @wp.func
 def row_of(splat: RaySplat, view: CameraData, left: int, top: int, y: int) -> RayRow:
-    """Prepares a splat for row ``y`` of the tile whose corner is at (left, top)."""
+    """Computes the terms of a Gaussian that the rays of row ``y`` of a tile share.
+
+    ``left`` and ``top`` are the tile's corner in the frame; ``y`` counts from ``top``.
+    """
     row = RayRow()
     row.eye = splat.eye
     if view.shutter != 0:
@@ -232,13 +243,16 @@ def row_of(splat: RaySplat, view: CameraData, left: int, top: int, y: int) -> Ra
 
 @wp.func
 def touches_strip(splat: RaySplat, row: RayRow, strip: int) -> bool:
-    """Returns whether a splat's box covers a pixel of a strip of the row."""
+    """Returns whether the splat's pixel box covers a pixel of the row's strip number ``strip``.
+
+    A strip is a run of adjacent pixels of a row that vector instructions process together.
+    """
     return row.left < (strip + 1) * STRIP and row.right > strip * STRIP
 
 
 @wp.func
 def at_pixel(splat: RaySplat, row: RayRow, tile: wp.ref[RayTile], i: int, x: int) -> RayAt:
-    """Evaluates a splat at pixel ``i`` of a tile, in column ``x``, as ``evaluate`` does but without branches."""
+    """Evaluates a Gaussian along the ray of pixel ``i`` of a tile, in column ``x``; has no branches, to vectorise."""
     w = splat.canonical_from_world
     c = row.eye
     rx = float_at(tile.x, i)
@@ -267,21 +281,21 @@ def at_pixel(splat: RaySplat, row: RayRow, tile: wp.ref[RayTile], i: int, x: int
 
 @struct
 class RayPixel:
-    """A pixel and its ray."""
+    """A pixel's ray: direction, end distance, and the exposure time of its row."""
 
     x: int
     y: int
     limit_z: float
-    """Depth limit: inf for a pixel with a ray, 0 for one without."""
+    """inf for a pixel with a ray, 0 for one without; no depth hides splats along rays, which end at ``limit``."""
     time: float
     """Time at which the pixel's row is exposed, as a fraction of the time from the first row to the last."""
     motion: wp.vec3
-    """Translation of the eye from the first row to the last."""
+    """Rolling shutter: movement of the eye from the first row to the last, world space."""
     direction: wp.vec3
     """Ray direction, world space, unit."""
     t_min: float
     limit: float
-    """Distance along the ray beyond which Gaussians are ignored."""
+    """Distance along the ray at which the nearest mesh hides all Gaussians behind it; inf: no mesh."""
 
 
 @wp.func
@@ -303,16 +317,17 @@ def pixel_at(view: CameraData, pixel_rays: PixelRays, x: int, y: int) -> RayPixe
 
 @wp.func
 def covers(splat: RaySplat, pixel: RayPixel) -> bool:
-    """Returns whether a pixel lies in a splat's box."""
+    """Returns whether the pixel lies in the splat's pixel box."""
     box = splat.box
     return pixel.x >= box.x0 and pixel.x < box.x1 and pixel.y >= box.y0 and pixel.y < box.y1
 
 
 @wp.func
 def evaluate(splat: RaySplat, pixel: RayPixel) -> RayAt:
-    """Evaluates a splat along the ray of a pixel in its box; leaves ``alpha`` for the caller to set.
+    """Evaluates a Gaussian along the ray of a pixel in its box; the caller sets ``alpha``.
 
-    ``log_alpha`` belongs to the largest alpha along the ray. It is -inf if that alpha is not between the ray's ends.
+    ``log_alpha`` is that of the largest alpha along the ray, or -inf if it lies before the ray's start or beyond its
+    end.
     """
     eye = splat.eye
     if pixel.time > 0.0:
@@ -329,14 +344,15 @@ def evaluate(splat: RaySplat, pixel: RayPixel) -> RayAt:
 
 
 RaySplatFloats = wp.types.vector(length=14, dtype=wp.float32)
-"""Vector of the sums over pixels that form a `RaySplatGradient`, in the order of its fields."""
+"""Vector of sums over a tile's pixels that make up a `RaySplatGradient`, in the order of its fields."""
 
 
 @wp.func
 def part_of(splat: RaySplat, at: RayAt, v: float, weight: float, by_color: wp.vec3) -> RaySplatFloats:
-    """Returns one pixel's terms in the sums of a splat.
+    """Returns the gradient terms that one pixel adds to a splat's sums, in the order of ``RaySplatFloats``.
 
-    ``v`` is the derivative of the loss with respect to the logarithm of the splat's alpha at the pixel.
+    ``v`` is d loss / d log(alpha) of the splat at the pixel, ``weight`` its blending weight, and ``by_color`` d loss /
+    d colour of the pixel.
     """
     along = at.along
     across = at.across
@@ -367,7 +383,7 @@ def part_of(splat: RaySplat, at: RayAt, v: float, weight: float, by_color: wp.ve
 
 @wp.func
 def gradient_of(splat: RaySplat, sums: RaySplatFloats) -> RaySplatGradient:
-    """Converts a splat's sums over pixels to its gradient record."""
+    """Converts the sums of a splat's gradient terms over the pixels of a tile to its gradient struct."""
     record = RaySplatGradient()
     record.color = wp.vec3(sums[0], sums[1], sums[2])
     record.log_opacity = sums[3]
@@ -380,7 +396,7 @@ def gradient_of(splat: RaySplat, sums: RaySplatFloats) -> RaySplatGradient:
 
 @wp.func
 def sum_of_records(records: wp.array[RaySplatGradient], begin: int, end: int) -> RaySplatGradient:
-    """Returns the sum of the gradient records of a splat."""
+    """Returns the sum of gradients ``begin`` to ``end``: those of one splat in all tiles that it touches."""
     total = RaySplatGradient()
     for k in range(begin, end):
         part = records[k]
@@ -395,14 +411,14 @@ def sum_of_records(records: wp.array[RaySplatGradient], begin: int, end: int) ->
 
 @struct
 class RayItem:
-    """Reference to a splat in shared memory."""
+    """Index of a splat, as stored in the shared memory of a thread block."""
 
     index: int
 
 
 @wp.func
 def fetch(splats: wp.array[RaySplat], index: int, item: wp.ref[RayItem]):
-    """Stores the index of a splat in shared memory, which is too small for whole splats."""
+    """Stores the index of a splat in an element of shared memory, which is too small for whole splats."""
     item.index = index
 
 
@@ -435,14 +451,14 @@ ALONG_RAYS = Footprint(
     gradient=RaySplatGradient,
     gradient_of=gradient_of,
 )
-"""Footprint of Gaussians evaluated along pixel rays (3DGUT)."""
+"""Struct types and functions by which compositors evaluate Gaussians along pixel rays (3DGUT)."""
 
 # --- Gradients (docs/method/gradients.md#rasterisation-along-rays) ---
 
 
 @wp.func
 def pixel_variance_gradient(camera: CameraData, view: wp.vec3) -> wp.vec3:
-    """Returns the gradient of ``pixel_variance`` with respect to the camera-space point."""
+    """Returns the gradient of ``pixel_variance`` with respect to the camera-space point ``view``."""
     per_pixel = 1.0 / (camera.focal[0] * camera.focal[1])
     z = view[2]
     distance2 = wp.max(wp.length_sq(view), DEPTH_MIN)
@@ -463,9 +479,9 @@ def pixel_variance_gradient(camera: CameraData, view: wp.vec3) -> wp.vec3:
 
 @wp.func
 def scale_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
-    """Returns the gradient with respect to the widened standard deviations, each divided by its standard deviation.
+    """Returns ``(d loss / d s) / s`` for each standard deviation s of the widened Gaussian.
 
-    Half of the result is the gradient with respect to the squared standard deviations.
+    Half of the result is the gradient with respect to s^2.
     """
     return wp.cw_div(sums.squares, wp.cw_mul(gaussian.scale, gaussian.scale))
 
@@ -485,10 +501,10 @@ def rotation_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec
 def mean_gradient(
     camera: CameraData, variance_per_pixel: float, gaussian: WorldGaussian, time: float, sums: RaySplatGradient
 ) -> wp.vec3:
-    """Returns the gradient with respect to the mean, world space, through its position and the pixel width there.
+    """Returns the gradient with respect to the mean, world space, by its position and the pixel width at its distance.
 
-    ``variance_per_pixel`` is the variance that widens the Gaussian, in squared pixel widths; ``time`` is the time of
-    the shutter at which the mean is exposed.
+    ``variance_per_pixel`` is the variance that widens the Gaussian, in squared pixel widths; ``time`` is the shutter
+    time, 0..1, at which the mean is exposed.
     """
     by_mean = gaussian.axes * wp.cw_div(sums.point, gaussian.scale)
     if variance_per_pixel > 0.0:

@@ -1,6 +1,7 @@
-"""Visitors of compositors, which compute colours, random samples, largest weights or gradients of pixels.
+"""Visitors: functions that compositors call for each splat at each pixel.
 
-The equations are in docs/method/rasterisation.md and docs/method/gradients.md.
+They blend colours, choose splats at random, find the largest weight of each splat, or compute gradients. The equations
+are in docs/method/rasterisation.md and docs/method/gradients.md.
 """
 
 import functools
@@ -56,7 +57,7 @@ word_at, set_word_at, _ = elements_of(TileWords)
 
 @struct
 class ColorTile:
-    """Blending state of the pixels of a tile."""
+    """Blending state of all pixels of a tile: transmittance, colour, normal and surface."""
 
     transmittance: TileFloats
     red: TileFloats
@@ -66,9 +67,9 @@ class ColorTile:
     normal_y: TileFloats
     normal_z: TileFloats
     surface: TileInts
-    """Index of the surface's Gaussian plus one; 0: not reached."""
+    """For each pixel, index + 1 of the Gaussian at the iso-opacity surface; 0: the surface is not reached."""
     first: TileInts
-    """Index of the first blended Gaussian plus one; 0: none. Set only by the visitor along rays."""
+    """For each pixel, index + 1 of the frontmost blended Gaussian; 0: none. Ellipse blending leaves it 0."""
 
 
 @wp.func
@@ -82,9 +83,10 @@ def blend_at(
     t_min: float,
     iso: float,
 ) -> float:
-    """Blends a Gaussian behind those already blended, without branches; returns the weight of the Gaussian.
+    """Blends a Gaussian behind those that pixel ``i`` has already blended; returns its blending weight.
 
-    A Gaussian that would make the transmittance fall to ``t_min`` is dropped and finishes the pixel.
+    A Gaussian that would take the transmittance to ``t_min`` or below is dropped and finishes the pixel. ``iso`` is the
+    transmittance of the depth surface. There are no branches, so that rows of pixels vectorise.
     """
     before = float_at(pixels.transmittance, i)
     weight = before * alpha
@@ -104,7 +106,7 @@ def blend_at(
 
 @wp.func
 def blended_pixel(pixels: wp.ref[ColorTile], i: int) -> BlendState:
-    """Returns the blending state of a pixel."""
+    """Returns the blending state of pixel ``i`` of a tile as one struct."""
     pixel = BlendState()
     pixel.color = wp.vec3(float_at(pixels.red, i), float_at(pixels.green, i), float_at(pixels.blue, i))
     pixel.normal = wp.vec3(float_at(pixels.normal_x, i), float_at(pixels.normal_y, i), float_at(pixels.normal_z, i))
@@ -116,7 +118,7 @@ def blended_pixel(pixels: wp.ref[ColorTile], i: int) -> BlendState:
 
 @struct
 class EllipseColors:
-    """Arrays of the visitor that blends ellipses: its inputs, and its outputs for pixels or for hits of rays."""
+    """Arrays for blending ellipses: splats and meshes as inputs, and pixel images or Gaussian hits as outputs."""
 
     instances: wp.array[SplatInstanceData]
     splats: wp.array[Splat]
@@ -132,7 +134,7 @@ class EllipseColors:
 def begin_ellipses(
     pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: EllipseColors
 ):
-    """Does nothing when a pixel begins: its blending state is empty."""
+    """Does nothing: before its first splat, a pixel's blending state is already empty."""
 
 
 @wp.func
@@ -152,12 +154,12 @@ def blend_ellipse(
 
 @wp.func
 def end_ellipse(arrays: EllipseColors, view: CameraData, tile: int, splat: Splat, sums: StripSums):
-    """Does nothing when a splat ends: blending has no sums over pixels."""
+    """Does nothing: blending needs no sums over the pixels that a splat touches."""
 
 
 @wp.func
 def pass_ellipse(arrays: EllipseColors, view: CameraData, tile: int, index: int):
-    """Does nothing for a hidden splat: it has no output."""
+    """Does nothing: a splat that is hidden in the whole tile has no effect on colours."""
 
 
 @wp.func
@@ -171,7 +173,7 @@ def store_ellipses(
     settings: RasterData,
     arrays: EllipseColors,
 ):
-    """Writes the blending state of pixel ``i`` to the image or to the hits of its ray."""
+    """Writes the blending state of pixel ``i`` to its images or to the Gaussian hits of its ray."""
     pixel = blended_pixel(pixels, i)
     begin = arrays.tile_starts[tile]
     end = arrays.tile_starts[tile + 1]
@@ -207,7 +209,7 @@ ELLIPSE_COLORS = TileVisitor(
 
 @wp.func
 def begin_rays(pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, hits: GaussianHits):
-    """Does nothing when a pixel begins: its blending state is empty."""
+    """Does nothing: before its first splat, a pixel's blending state is already empty."""
 
 
 @wp.func
@@ -230,12 +232,12 @@ def blend_along_ray(
 
 @wp.func
 def end_ray_splat(hits: GaussianHits, view: CameraData, tile: int, splat: RaySplat, sums: StripSums):
-    """Does nothing when a splat ends: blending has no sums over pixels."""
+    """Does nothing: blending needs no sums over the pixels that a splat touches."""
 
 
 @wp.func
 def pass_ray_splat(hits: GaussianHits, view: CameraData, tile: int, index: int):
-    """Does nothing for a hidden splat: it has no output."""
+    """Does nothing: a splat that is hidden in the whole tile has no effect on colours."""
 
 
 @wp.func
@@ -249,7 +251,7 @@ def store_rays(
     settings: RayRasterData,
     hits: GaussianHits,
 ):
-    """Writes the blending state of pixel ``i`` to the hits of its ray; a later kernel writes the surface depth."""
+    """Writes the blending state of pixel ``i`` to the Gaussian hits of its ray; a later kernel sets the depth."""
     ray = ray_index(view, x, y)
     pixel = blended_pixel(pixels, i)
     hits.color[ray] = pixel.color
@@ -276,12 +278,12 @@ RAY_COLORS = TileVisitor(
 
 @struct
 class SampleTile:
-    """Splats chosen at random for the pixels of a tile: stochastic transparency."""
+    """For each pixel of a tile, the nearest splat that passed a random test against its alpha."""
 
     transmittance: TileFloats
-    """Always 1, so that no pixel is finished before the last splat."""
+    """Always 1: no pixel is finished before the tile's last splat, because splats come in any order."""
     nearest: TileFloats
-    """View depth of each pixel's chosen splat, or of the mesh if no splat is chosen."""
+    """View depth of each pixel's chosen splat or, as long as none is chosen, of the nearest mesh (inf: none)."""
     winner: TileInts
     """Index of each pixel's chosen splat plus one; 0: no splat is chosen."""
     keys: TileWords
@@ -290,7 +292,7 @@ class SampleTile:
 
 @struct
 class SampleArrays:
-    """Arrays of the visitor that chooses splats at random: its inputs and outputs."""
+    """Arrays for choosing splats at random: splats and sample index as inputs, Gaussian hits as output."""
 
     splats: wp.array[Splat]
     sample: SampleData
@@ -316,7 +318,7 @@ def sample_splat(
     x: int,
     settings: RasterData,
 ):
-    """Chooses a splat at random, with a probability of its alpha, if it is nearer than the previous choice.
+    """Makes a splat the choice of pixel ``i``, with probability alpha, if it is nearer than the present choice.
 
     At equal depths, the splat with the lower index is chosen.
     """
@@ -333,12 +335,12 @@ def sample_splat(
 
 @wp.func
 def end_sampled(arrays: SampleArrays, view: CameraData, tile: int, splat: Splat, sums: StripSums):
-    """Does nothing when a splat ends: random choice has no sums over pixels."""
+    """Does nothing: random choice needs no sums over the pixels that a splat touches."""
 
 
 @wp.func
 def pass_sampled(arrays: SampleArrays, view: CameraData, tile: int, index: int):
-    """Does nothing for a hidden splat: it has no output."""
+    """Does nothing: a splat that is hidden in the whole tile is never chosen."""
 
 
 @wp.func
@@ -352,7 +354,7 @@ def store_sample(
     settings: RasterData,
     arrays: SampleArrays,
 ):
-    """Writes the chosen splat of pixel ``i`` to the hits of the pixel's ray."""
+    """Writes the chosen splat of pixel ``i`` to the Gaussian hits of its ray, as an opaque surface."""
     pixel = opaque_pixel(arrays.splats, int_at(pixels.winner, i) - 1)
     store_gaussian_hits(view, arrays.splats, pixel, x, y, arrays.hits_out)
 
@@ -374,14 +376,14 @@ ELLIPSE_SAMPLES = TileVisitor(
 
 @struct
 class WeightTile:
-    """Transmittance of the pixels of a tile."""
+    """Transmittance of each pixel of a tile, which blending weights need."""
 
     transmittance: TileFloats
 
 
 @struct
 class WeightArrays:
-    """Arrays of the visitor that finds largest weights: one weight for each splat and each tile that it touches."""
+    """Arrays for finding the largest blending weight of each splat within each tile that it touches."""
 
     rects: wp.array[TileRect]
     pair_starts: wp.array[int]
@@ -397,7 +399,7 @@ def largest_weights(footprint: Footprint) -> TileVisitor:
     def begin_weights(
         pixels: wp.ref[WeightTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: WeightArrays
     ):
-        """Does nothing when a pixel begins: its transmittance is 1."""
+        """Does nothing: before its first splat, a pixel's transmittance is already 1."""
 
     @wp.func
     def weigh(
@@ -438,7 +440,7 @@ def largest_weights(footprint: Footprint) -> TileVisitor:
         settings: Settings,
         arrays: WeightArrays,
     ):
-        """Does nothing when a pixel ends: only splats have an output."""
+        """Does nothing: the results belong to splats, not pixels."""
 
     return TileVisitor(
         pixels=WeightTile,
@@ -457,23 +459,22 @@ def largest_weights(footprint: Footprint) -> TileVisitor:
 
 @struct
 class BackwardTile:
-    """State of the backward pass at a tile's pixels."""
+    """For each pixel of a tile: transmittance, colour gradient, and the loss terms of what is not blended yet."""
 
     transmittance: TileFloats
     behind: TileFloats
-    """Loss contribution of the splats that each pixel has not blended yet."""
+    """For each pixel, the part of `behind_pixel` that belongs to the background and the splats not blended yet."""
     red: TileFloats
-    """Derivative of the loss with respect to each pixel's red channel; ``green`` and ``blue`` are those of the others.
-    """
+    """d loss / d red of each pixel; ``green`` and ``blue`` likewise."""
     green: TileFloats
     blue: TileFloats
 
 
 @functools.cache
 def derivatives(footprint: Footprint) -> TileVisitor:
-    """Builds the visitor that sums the gradients of a tile's splats over its pixels.
+    """Builds the visitor that computes the gradient of each splat, summed over the pixels of a tile.
 
-    It writes one record for each splat and each tile that the splat touches.
+    It writes one gradient for each splat and each tile that the splat touches.
     """
     Settings, SplatType, At = footprint.settings, footprint.splat, footprint.at
     Sums, part_of, gradient_of, Gradient = footprint.sums, footprint.part_of, footprint.gradient_of, footprint.gradient
@@ -486,7 +487,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
     def begin_backward(
         pixels: wp.ref[BackwardTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: Arrays
     ):
-        """Loads the pixel's gradient and starts with the loss contribution of all its splats."""
+        """Loads the colour gradient of pixel ``i``, and starts its ``behind`` with the loss terms of all its splats."""
         pixel = y * view.width + x
         by_color = arrays.gradient.color[pixel]
         set_at(pixels.red, i, by_color[0])
@@ -548,7 +549,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
         settings: Settings,
         arrays: Arrays,
     ):
-        """Does nothing when a pixel ends: only splats have an output."""
+        """Does nothing: the results belong to splats, not pixels."""
 
     return TileVisitor(
         pixels=BackwardTile,
@@ -571,7 +572,7 @@ class NoArrays:
 
 @wp.func
 def wants_all(pixel: BlendState, splat: Any) -> bool:
-    """Returns True, because every splat is blended."""
+    """Returns True: blending needs every splat of the pixel."""
     return True
 
 
@@ -586,7 +587,7 @@ def blend_ellipse_at_pixel(
 
 @struct
 class RelitHits:
-    """Arrays for the sums over relit splat sets on a ray, in scenes that have both relit splat sets and others."""
+    """Arrays that sum colour and weight of relit splat sets on a ray, in scenes that also have other splat sets."""
 
     instances: wp.array[SplatInstanceData]
     hits: GaussianHits
@@ -607,30 +608,30 @@ def blend_at_ray(
 
 @struct
 class Sample:
-    """Nearest splat of a pixel whose random number is below its alpha."""
+    """The nearest splat of a pixel whose random number is below its alpha, among the splats visited so far."""
 
     key: wp.uint32
-    """Key of the random numbers."""
+    """Key of the pixel's random numbers; each splat draws its own."""
     nearest: float
-    """View depth of the chosen splat, or of the mesh if no splat is chosen."""
+    """View depth of the chosen splat or, as long as none is chosen, of the nearest mesh (inf: none)."""
     winner: int
     """Index of the chosen splat; -1: no splat is chosen."""
     transmittance: float
-    """Always 1, so that every splat is visited."""
+    """Always 1, so that the compositor visits every splat."""
 
 
 @wp.func
 def wants_nearer(sample: Sample, splat: Splat) -> bool:
-    """Returns whether a splat would replace the chosen one if its random number is below its alpha.
+    """Returns whether a splat is nearer than the chosen one, so that it would replace it if it passes its random test.
 
-    The nearer splat is chosen, and at equal depths the one with the lower index.
+    At equal depths, the splat with the lower index is chosen.
     """
     return splat.depth < sample.nearest or (splat.depth == sample.nearest and splat.index < sample.winner)
 
 
 @wp.func
 def draw_sample(sample: wp.ref[Sample], splat: Splat, log_alpha: float, settings: RasterData, arrays: NoArrays):
-    """Chooses a splat, which must be nearer than the previous choice, with a probability of its alpha."""
+    """Makes a splat the pixel's choice with probability alpha; it must be nearer than the present choice."""
     if draw(sample.key, wp.uint32(splat.index)) < alpha_from_log(log_alpha):
         sample.nearest = splat.depth
         sample.winner = splat.index
