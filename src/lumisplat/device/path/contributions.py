@@ -278,7 +278,7 @@ def escaped_radiance(
 def emitted_share(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> float:
-    """Returns the MIS weight, 0..1, against samples of emissive triangles, of the mesh emission that path ``i`` hits."""
+    """Returns the MIS weight, 0..1, of the mesh emission that path ``i`` hits, against emissive triangle samples."""
     pdf = paths[0].pdf[i]
     number = wave[0].meshes.instance[i]
     if paths[0].is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
