@@ -24,7 +24,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 CAPTURED_LIGHT_ROWS = 32
-"""Rows of the environment map that is rendered from captures: 5.6 degrees each, finer than most highlights."""
+"""Rows of the environment map that is rendered from captures: 32 rows of 5.6 degrees, finer than most highlights."""
 
 CAPTURED_LIGHT_COVERED = 0.75
 """Smallest fraction of all directions around the meshes that captures must cover to light the meshes; below it, a
@@ -56,15 +56,15 @@ class CapturedLightCache:
         """Bounding box of the meshes around which the cached map was rendered, lowest and highest corner."""
         self._light: CapturedLight | None = None
         self._render: Callable[[Scene, Camera], Frame] | None = None
-        """Function that renders the captures from device memory. It is stored once meshes have moved among unchanged
-        captures; None before that."""
+        """Function that renders the captures, kept so that their Gaussians stay on the device. It is kept only once
+        meshes have moved while the captures stayed the same; None until then."""
 
     def lit(self, scene: Scene, stops: float, renderer: Callable[[], Callable[[Scene, Camera], Frame]]) -> Scene:
-        """Returns the scene lit by its captures as an environment, or unchanged if they do not surround its meshes.
+        """Returns the scene lit by an environment map of its captures; unchanged if they do not surround the meshes.
 
         Args:
             scene: A scene for which `uses_captured_light` is true.
-            stops: ``RenderConfig.capture_gain``, stops.
+            stops: ``RenderConfig.capture_gain``: brightness of the captures' light in stops.
             renderer: Makes a function that renders unlit frames without a background, like `lumisplat.Renderer.render`.
         """
         box, is_same = np.stack(_bounds(scene.meshes)), _are_same_captures(scene.splats, self._splats)
@@ -118,7 +118,7 @@ def _bounds(meshes: tuple[MeshInstance, ...]) -> tuple[Doubles, Doubles]:
 
 
 def _are_same_captures(now: tuple[SplatInstance, ...], before: tuple[SplatInstance, ...]) -> bool:
-    """Returns whether two lists of captures look equal: Gaussians, transforms, SH degrees and materials are equal."""
+    """Returns whether two lists of captures would look equal: same Gaussians, transforms, SH degrees and materials."""
     return len(now) == len(before) and all(
         one is other
         or (

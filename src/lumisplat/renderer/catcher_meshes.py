@@ -28,7 +28,8 @@ CATCHER_ALBEDO_MIN = 0.02
 """Lowest albedo of a catcher mesh in each channel: on a black mesh the shadow ratio would be 0 / 0."""
 
 CATCHER_FILL_PX = 3
-"""Width in pixels by which a catcher's shadow ratio is extended into the silhouettes of objects in front of it."""
+"""Number of pixels by which a catcher's shadow ratio is extrapolated under the silhouettes of objects in front of it.
+"""
 
 Render = Callable[[Scene], Frame]
 """Function that renders a scene from the camera of the frame that gets the shadows."""
@@ -64,7 +65,10 @@ def catcher_config(config: RenderConfig) -> RenderConfig:
 
 
 def catcher_scenes(scene: Scene) -> list[Scene]:
-    """Returns scenes that need the same kernels as `with_caught_shadows`, so that these can be compiled in advance."""
+    """Returns the scenes that `with_caught_shadows` renders, so that their kernels can be compiled in advance.
+
+    One scene has the catcher meshes alone, the other has the added objects, too.
+    """
     added, catchers = _added(scene), tuple(one for one in scene.meshes if one.shadow_catcher)
     without_objects = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
     return [
@@ -129,9 +133,9 @@ def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
 
 
 def _added(scene: Scene) -> Scene:
-    """Returns the objects that were added to the capture: the scene without catcher meshes and without its plate.
+    """Returns the scene with only the objects added to the capture: without catcher meshes and background captures.
 
-    The plate is all captures that catch shadows, or, if none catches shadows, all captures that are not relit.
+    The background is all captures that catch shadows, or, if none catches shadows, all captures that are not relit.
     """
     plate = [one for one in scene.splats if one.shadow_catcher]
     if not plate:
@@ -141,7 +145,11 @@ def _added(scene: Scene) -> Scene:
 
 
 def _lights(scene: Scene) -> tuple[Light, ...]:
-    """Returns the scene's lights, environments made invisible, plus ambient light if the scene has no environment."""
+    """Returns the scene's lights for measuring shadows: environments hidden from the camera, and always ambient light.
+
+    If no environment is enabled, an invisible constant one is added: the first non-zero ``ambient`` of a catcher's
+    material, else `CATCHER_AMBIENT`.
+    """
     lights = [replace(one, visible=False) if isinstance(one, LightEnvironment) else one for one in scene.lights]
     if any(isinstance(one, LightEnvironment) and one.enabled for one in lights):
         return tuple(lights)
@@ -194,9 +202,9 @@ def _without_diffuse(material: object) -> MaterialPbr:
 
 
 def _is_in_front(frame: Frame, scene: Scene, catchers: Frame) -> Flags:
-    """Returns a mask of the pixels whose captured surface is in front of the catcher, shape (H, W).
+    """Returns a mask, shape (H, W), of the pixels whose captured surface hides the catcher mesh.
 
-    The surface counts as in front if its distance from the catcher exceeds the thickness of its Gaussians.
+    A surface hides the catcher if it is nearer by more than the thickness of its Gaussians.
     """
     height = ((frame.position - catchers.position) * catchers.normal).sum(axis=2)
     thickness = np.zeros_like(height)
@@ -213,7 +221,7 @@ def _offset(frame: Frame) -> float:
 
 
 def _dilated(image: FloatArray, is_defined: Flags) -> FloatArray:
-    """Extends an image by `CATCHER_FILL_PX` beyond pixels in ``is_defined``, with the mean of neighbouring pixels."""
+    """Fills undefined pixels within `CATCHER_FILL_PX` of defined ones (``is_defined``) by means of their neighbours."""
     values, is_defined = np.where(is_defined[..., None], image, np.float32(0.0)), is_defined.copy()
     filled = image.copy()
     for _ in range(CATCHER_FILL_PX):

@@ -107,7 +107,10 @@ def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -
 
 
 def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
-    """Raises ConfigError if the camera renders only a window of the image, but the settings need the whole image."""
+    """Raises ConfigError if ``camera`` renders only a window of the image, but the settings need the whole image.
+
+    Real-time frames, ``noise``, ``time_limit`` and ``adaptive`` need the whole image.
+    """
     if camera.window is None:
         return
     if plan.has_history:
@@ -119,7 +122,7 @@ def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
 
 
 def check_blocks(config: RenderConfig, plan: FramePlan, camera: Camera | None = None) -> None:
-    """Raises ConfigError unless all pixels have one fixed number of samples, as splitting over processes requires."""
+    """Raises ConfigError unless a frame's samples can be split over processes: all pixels need one fixed number."""
     if camera is not None and plan.rasterises and not plan.is_unscented and camera.is_distorted:
         raise ConfigError(
             "rasterised frames with lens distortion are resampled: their samples cannot be split; use Pipeline.TRACE"
@@ -212,7 +215,7 @@ class RasterWarnings:
             )
 
     def warn_of_normals(self, config: TraceConfig) -> None:
-        """Logs once that directly visible Gaussians in hybrid frames have the rasteriser's normals."""
+        """Logs once that hybrid frames ignore NormalMethod.ELLIPSOID for Gaussians that the camera sees directly."""
         if config.normal_method is NormalMethod.ELLIPSOID and not self._has_warned_of_normals:
             self._has_warned_of_normals = True
             _log.warning(
@@ -221,7 +224,7 @@ class RasterWarnings:
             )
 
     def warn_of_degree(self, scene: Scene) -> None:
-        """Logs once for each kernel degree that the rasteriser draws as a Gaussian."""
+        """Logs once for each kernel degree (shape of the falloff) that the rasteriser draws as degree 2, a Gaussian."""
         degrees = {instance.gaussians.kernel_degree for instance in scene.splats} - {KERNEL_DEGREE}
         for degree in sorted(degrees - self._warned_of_degrees):
             _log.warning(

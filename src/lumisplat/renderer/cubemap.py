@@ -29,7 +29,7 @@ _FACES = (
     ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
     ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
 )
-"""View direction and up direction of each face."""
+"""View direction and up direction of each of the six faces, world space."""
 
 
 class CubeSamples(NamedTuple):
@@ -58,7 +58,8 @@ class _Cube(NamedTuple):
 
     cameras: tuple[Camera, ...]
     directions: Doubles
-    """Direction through the centre of each pixel of six P x P faces, shape (6 P P, 3)."""
+    """World-space direction, not of unit length, through the centre of each pixel of six P x P faces, shape (6 P P,
+    3)."""
     weights: Doubles
     """Solid angle of each pixel of six P x P faces, steradians, shape (6 P P,)."""
 

@@ -30,7 +30,8 @@ from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import Scene
 
 _STEPS = 16
-"""Number of equal intervals of transmittance, 1 to 0. Gaussians of a pixel within one interval become one sample."""
+"""Number of equal steps of transmittance between 1 and 0. Gaussians of one pixel whose transmittance in front falls
+into the same step are merged into one depth sample."""
 _RAYS = 16
 """Largest number of rays per pixel. Coverage of a pixel by a mesh's edge is then a multiple of 1/16."""
 _SURFACE_PX = 16.0
@@ -39,9 +40,9 @@ surface. The value suffices for surfaces tilted up to 86 degrees from facing the
 _ENVIRONMENT_DEPTH = 1e30
 """Depth of an environment, scene units: behind everything, but finite, so that compositors can compute with it."""
 _TINY = float(np.finfo(np.float32).tiny)
-"""Lower bound that avoids division by zero."""
+"""Smallest normal float32, which replaces smaller divisors: transmittances, sums of radiance and sums of weights."""
 _BAND_RAYS = 2**14
-"""Number of rays that are traced at once."""
+"""Number of rays that are traced at once: the pixels of a frame are processed in bands of so many rays."""
 
 
 def render_deep(
@@ -106,7 +107,7 @@ class _Target(NamedTuple):
     alpha: Doubles
     """Alpha of each pixel, 0..1."""
     depth: FloatArray
-    """Depth of each pixel's sample if no ray hits anything, as `DeepFrame.near`."""
+    """View depth (fisheye: distance) of each pixel's sample if no ray hits anything."""
 
     def of(self, pixels: slice) -> _Target:
         """Returns the rows of a slice of pixels."""
@@ -119,17 +120,18 @@ class _Layers(NamedTuple):
     pixel: Rows
     """Index within the band of each hit's pixel."""
     depth: FloatArray
-    """Depth of each hit, measured as `DeepFrame.near`."""
+    """View depth of each hit (fisheye cameras: distance from the camera), scene units."""
     weight: FloatArray
     """Compositing weight of each hit on its ray, 0..1."""
     light: FloatArray
-    """Linear radiance that each hit's colour adds to its ray, and after averaging over rays to its pixel, (hits, 3)."""
+    """Linear radiance that each hit's colour adds to its ray, divided by the number of rays per pixel once the hits of
+    all rays are joined, (hits, 3)."""
     is_mesh: Flags
     """True for hits on a mesh, a light or the environment; False for Gaussians."""
 
     @classmethod
     def of(cls, parts: Sequence[_Layers]) -> _Layers:
-        """Concatenates the hits of several calls."""
+        """Concatenates the hits of several lists, one list after another."""
         columns: Iterator[Any] = zip(*parts, strict=True)
         return cls(*(np.concatenate(column) for column in columns))
 
@@ -140,7 +142,7 @@ class _Layers(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Depth samples of pixels, as in `DeepFrame`."""
+    """Depth samples of pixels, pixel by pixel and from front to back, with the fields of `DeepFrame`."""
 
     counts: Rows
     """Number of samples of each pixel."""
@@ -176,7 +178,7 @@ class _DeepTracer:
         return self._gaussians.render(self._scene, self._camera)
 
     def show_lights(self, frame: Frame) -> None:
-        """Adds the visible area lights and environment of the frame to the objects that rays hit."""
+        """Makes the frame's visible area lights and visible environment count as objects that rays hit."""
         config = frame.config
         if config is None or not FramePlan.of(config, self._scene).is_lit:
             return
@@ -231,7 +233,7 @@ class _DeepTracer:
         return _Layers.of(layers)
 
     def _light_layers(self, light: AreaLight, traced: PixelProfile, pixel: Rows) -> _Layers:
-        """Returns the hits of rays on a visible area light, which adds radiance and blocks none.
+        """Returns the hits of rays on a visible area light: they add radiance to a pixel, but their alpha is 0.
 
         ``pixel`` holds the pixel index of each Gaussian hit in ``traced``.
         """
@@ -246,7 +248,10 @@ class _DeepTracer:
         return _Layers(hit, depth, np.zeros(len(hit), np.float32), radiance, np.ones(len(hit), bool))
 
     def _mesh_layers(self, traced: PixelProfile, transmittance: FloatArray) -> _Layers:
-        """Returns the hits on the meshes where rays end; ``transmittance`` ends in front of the meshes."""
+        """Returns the hits on the meshes at which rays end, weighted by the transmittance in front of each mesh.
+
+        ``transmittance`` holds that number for each ray.
+        """
         end = np.flatnonzero(np.isfinite(traced.mesh_distance) & (transmittance > 0.0))
         if not len(end):
             return _Layers(end, transmittance[end], transmittance[end], np.zeros((0, 3), np.float32), np.zeros(0, bool))
@@ -286,7 +291,11 @@ class _DeepTracer:
         return _Samples(counts, near, far, color.astype(np.float32), alpha.astype(np.float32))
 
     def _starts(self, layers: _Layers, through: Doubles) -> Rows:
-        """Returns the row of each sample's first hit. ``through`` is the transmittance in front of each hit."""
+        """Returns the row of the first hit of each depth sample, from hits sorted by pixel and depth.
+
+        ``through`` is the transmittance in front of each hit. A sample ends at the pixel's last hit, where Gaussians
+        change to a mesh or back, at the next of `_STEPS` steps of transmittance, or at the end of a mesh surface.
+        """
         is_other = np.diff(layers.pixel, prepend=-1) != 0
         farther = np.diff(layers.depth, prepend=np.float32(0.0))
         begins_depth = is_other | (farther > 0.0)
@@ -306,9 +315,9 @@ class _DeepTracer:
 
 
 def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
-    """Returns the radiance that each hit adds to its pixel, shape (hits, 3).
+    """Returns the radiance that each hit adds to its pixel, shape (hits, 3); each pixel's sum is the target's colour.
 
-    Lights, the only hits without a weight, add their emitted radiance. The other hits divide the rest of the target's
+    Area lights, whose hits have weight 0, add their emitted radiance. The other hits share what remains of the target's
     colour, channel by channel, in proportion to their radiance, or to their weights where all are black.
     """
 
@@ -337,7 +346,7 @@ def _environment_radiance(environment: LightEnvironment, directions: FloatArray)
 
 
 def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, float]]:
-    """Returns the sub-pixel offsets of the frame's first samples, 0..1, through which rays are traced."""
+    """Returns sub-pixel offsets (x, y), 0..1, of the frame's first samples; one ray per pixel goes through each."""
     config = frame.config or RenderConfig(samples=max(frame.samples, 1))
     plan = FramePlan.of(config, scene)
     count = _RAYS if plan.has_history else min(max(frame.samples, 1), _RAYS)
@@ -358,10 +367,10 @@ def _pixel_ray_indices(width: int, height: int) -> IntArray:
 
 
 def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
-    """Returns one depth for each pixel of a frame, row by row.
+    """Returns the view depth (fisheye: distance) of each pixel of a frame, row by row.
 
-    The depth is that of the pixel's surface, else of its first Gaussian's mean, else interpolated between neighbouring
-    pixels.
+    It is the depth of the pixel's surface; without a surface, that of the mean of its first Gaussian; without a
+    Gaussian, interpolated between the nearest pixels before and after in row order.
     """
     forward, is_fisheye = camera.world_from_camera[:3, 2], camera.model is CameraModel.FISHEYE
     distance = np.where(np.isfinite(frame.depth), frame.depth, np.float32(np.nan))
@@ -392,6 +401,6 @@ def _view_colors(scene: Scene, camera: Camera) -> FloatArray:
 
 
 def _linear(frame: Frame) -> FloatArray:
-    """Returns premultiplied linear colours of a frame, as in files, (H, W, 3)."""
+    """Returns the frame's linear premultiplied colours without background, as in an EXR's ``R G B``, (H, W, 3)."""
     channels = frame.layers([])
     return np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)

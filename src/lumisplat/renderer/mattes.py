@@ -75,7 +75,7 @@ def _matte(kind: str, names: Sequence[str], shown: IntArray, weights: FloatArray
     """Sums each name's coverage over all sub-pixel positions, and returns a matte of each pixel's largest sums.
 
     Args:
-        kind: Name of the matte, as in `Matte`.
+        kind: Name of the matte for compositors, such as ``CryptoObject``.
         names: Name of each instance.
         shown: Instance index at each of P sub-pixel positions, shape (P, H, W); -1: none.
         weights: Fraction of the pixel that each position covers, shape (P, H, W).

@@ -19,8 +19,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 WARM_UP_FRAMES = 32
-"""Default number of frames in a still real-time sequence, of which only the last frame is returned. Direct light is
-averaged over as many frames.
+"""Default number of frames in a still real-time sequence, of which only the last frame is returned. Its direct light
+is the mean of up to as many frames.
 """
 
 

@@ -40,8 +40,8 @@ RAY_BATCH = 2**20
 _INPUTS = {"origins": wp.vec3, "directions": wp.vec3, "ends": wp.float32, "starts": wp.float32}
 
 PROFILE_ROWS = 2**22
-"""Largest number of a query's listed hits on the device at once, 64 MiB; more only if the rays of one packet, which
-must be traced together, hit more."""
+"""Largest number of hits of a ray query that are listed on the device at once, 64 MiB. A single packet of rays, which
+must be traced together, may exceed it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +125,7 @@ class RayHits:
 
 
 class RayLoader:
-    """Uploads rays of a query in batches.
+    """Uploads a caller's rays to the device, batch by batch.
 
     Args:
         launcher: Runs the kernel.
@@ -137,7 +137,7 @@ class RayLoader:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """Returns the kernel modules that start rays."""
+        """Returns the kernel modules that convert a caller's uploaded rays to the tracer's ray arrays."""
         return [camera_ray_kernels]
 
     def allocate(self, count: int) -> RayData:
@@ -157,7 +157,10 @@ class RayLoader:
         return arrays
 
     def load(self, scene: DeviceScene, first: int, count: int, inputs: list[DeviceArray], rays: RayData) -> None:
-        """Starts ``count`` uploaded rays of the scene's current sample; ``first`` is the index of the first one."""
+        """Writes ``count`` uploaded rays to the arrays ``rays``, with the random keys of the scene's current sample.
+
+        ``first`` is the index of the batch's first ray among all rays of the query.
+        """
         self._launcher.run_banded(
             camera_ray_kernels.load_rays, len(rays.t_max), first, count, scene.sample, *inputs, rays
         )
@@ -283,8 +286,9 @@ class RayQueries:
             plan: Plan of the scene.
             origins: Ray origins, local to the device scene, shape (N, 3).
             directions: Unit ray directions, shape (N, 3).
-            offsets: For rays that leave Gaussians: the distance along each ray, shape (N,), up to which Gaussians as
-                large as the one it leaves are skipped, as for shadow rays. None: no Gaussian is skipped.
+            offsets: For rays that leave Gaussians: distance along each ray, shape (N,), before which the peaks of
+                Gaussians are ignored, so that a surface does not hide itself; Gaussians smaller than the surface's
+                count earlier. None: no Gaussian is ignored.
             ends: Distance at which each ray ends, shape (N,); None: rays do not end.
         """
         parts: list[dict[str, npt.NDArray[Any]]] = []
@@ -338,7 +342,11 @@ class RayQueries:
     def _query_batch(
         self, scene: DeviceScene, plan: FramePlan, first: int, batch: list[FloatArray], *, bounced: bool
     ) -> tuple[dict[str, npt.NDArray[Any]], int]:
-        """Renders one batch of rays; returns its images as one row of pixels, and the number of non-finite samples."""
+        """Renders one batch of rays; returns its images as one row of pixels, and the number of non-finite samples.
+
+        ``first`` is the index of the batch's first ray in the query; ``bounced``: rays start at surfaces, not at a
+        camera.
+        """
         # A caller's rays are not jittered: if nothing else is random, all samples are equal.
         is_random = plan.is_lit or self._config.trace.strategy is not TraceStrategy.SORTED
         samples = plan.samples if is_random else 1
@@ -368,7 +376,7 @@ class RayQueries:
 
 
 def _starts(origins: FloatArray, offsets: FloatArray | None) -> FloatArray:
-    """Returns the distance on each of N rays from which Gaussians count, shape (N,): its offset, or else 0."""
+    """Returns the distance on each of N rays before which Gaussians are ignored, (N,): ``offsets``, or 0 for None."""
     return np.zeros(len(origins), np.float32) if offsets is None else offsets
 
 
@@ -471,7 +479,7 @@ class RayProfiles:
         return PrimaryHits(rays, meshes, gaussians)
 
     def _loaded_rays(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> RayData:
-        """Uploads rays of a caller, and returns them as started rays."""
+        """Uploads a caller's rays without end, and returns the tracer's arrays of these rays."""
         rays = self._rays.allocate(len(origins))
         inputs = self._rays.upload([origins, directions, np.full(len(origins), np.inf, np.float32)])
         self._rays.load(scene, 0, len(origins), inputs, rays)
@@ -480,7 +488,7 @@ class RayProfiles:
     def _pixel_rays(
         self, scene: DeviceScene, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> RayData:
-        """Starts rays through camera pixels; arguments as for `query_pixels`."""
+        """Returns the tracer's arrays of rays through camera pixels; arguments as for `query_pixels`."""
         count = whole_packets(grown_capacity(len(ray_indices)))
         listed = self._buffers.struct("profile.listed", ListedRays, count)
         padded = np.full(count, -1, np.int32)
@@ -493,7 +501,9 @@ class RayProfiles:
     def _profile_of(
         self, scene: DeviceScene, user_scene: Scene, counts: IntArray, start: Callable[[slice], RayData]
     ) -> RayProfile:
-        """Returns the profile of rays whose hits are already counted; ``start`` starts a slice of the rays again."""
+        """Returns the profile of rays with known numbers of hits, ``counts``; ``start`` makes a slice of the rays
+        again.
+        """
         first = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         parts = [
             self._rows(scene, start(slice(begin, end)), first[begin : end + 1] - first[begin])
@@ -524,7 +534,7 @@ class RayProfiles:
 
 
 def profile_ranges(counts: IntArray) -> Generator[tuple[int, int]]:
-    """Yields ranges of consecutive rays whose listed hits fit the device together.
+    """Yields ranges (first, end) of consecutive rays, each with few enough hits to be listed on the device together.
 
     At least one range is yielded; it is empty if no ray hits anything.
 

@@ -68,7 +68,7 @@ from lumisplat.scene.ops.views import focused_camera, pixel_ray
 from lumisplat.scene.scene import Scene
 
 _ANY_CAMERA = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-"""Camera for syncing the scene when the rays come from a caller and no camera is given."""
+"""Arbitrary camera with which a scene is synced for rays of a caller, because the tables need one."""
 
 
 class Renderer:
@@ -162,7 +162,10 @@ class Renderer:
         return [*modules, *self._modules(FramePlan.of(self.config, scene), encodes=encode)]
 
     def _modules(self, plan: FramePlan, *, bounced: bool = False, encodes: bool = False) -> list[KernelModule]:
-        """Returns the kernel modules of frames or ray queries; ``bounced``: rays start at surfaces, not at a camera."""
+        """Returns the kernel modules of a plan's frames or, if ``bounced``, of a caller's rays that start at surfaces.
+
+        ``encodes``: frames are also encoded to 8 bits on the device.
+        """
         others = [*self._scene.modules(plan), *self._film.modules(plan, encodes=encodes)]
         if not plan.is_sampled:
             return [*self._unlit_raster.modules(has_meshes=plan.has_meshes), *others]
@@ -375,7 +378,10 @@ class Renderer:
     def _begin(
         self, plan: FramePlan, scene: Scene, camera: Camera, progress: Progress | None, *, encodes: bool = False
     ) -> None:
-        """Loads the kernels of a frame and syncs the scene."""
+        """Loads the kernels that a frame needs, and uploads what changed in the scene.
+
+        ``encodes``: the frame is also encoded to 8 bits on the device.
+        """
         if self._loaded != (plan, encodes):
             self._load(self._modules(plan, encodes=encodes), progress)
             self._loaded = plan, encodes
@@ -385,7 +391,7 @@ class Renderer:
             self._unscented.begin_frame(camera)
 
     def _images(self, plan: FramePlan, camera: Camera, *, encodes: bool = False) -> dict[str, Any]:
-        """Downloads the images that the film holds."""
+        """Returns the finished frame's images by field name; on CUDA, functions that download them when called."""
         with self._launcher.stage("download"):
             images = self._film.images(camera.exposure, self.config, encodes=encodes)
             if "lights" in plan.aovs:
@@ -482,14 +488,16 @@ class Renderer:
         return plan
 
     def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
-        """Syncs the scene to the device, and drops cached lighting if the device scene's local origin has changed."""
+        """Uploads what changed in the scene; drops real-time frames' cached lighting if the device's local origin
+        moved.
+        """
         before, self._developed = self._scene.frame, None
         self._scene.sync(scene, camera, plan)
         if not np.array_equal(before.origin, self._scene.frame.origin):
             self._integrators.forget()
 
     def _local(self, points: npt.NDArray[np.floating]) -> FloatArray:
-        """Converts N world positions to the synced scene's local frame, shape (N, 3)."""
+        """Converts N world-space points to coordinates relative to the origin of the synced scene, shape (N, 3)."""
         return self._scene.frame.points(points).astype(np.float32)
 
     def _with_captured_light(self, scene: Scene) -> Scene:
@@ -499,7 +507,7 @@ class Renderer:
         return self._captured_light.lit(scene, self.config.capture_gain, self._captured_light_renderer)
 
     def _captured_light_renderer(self) -> Callable[[Scene, Camera], Frame]:
-        """Returns a function that renders captures unlit, from a second copy of the captures on the device."""
+        """Returns a function that renders captures unlit, by a second renderer with its own copy of the captures."""
         launcher = Launcher(self.device, self._launcher.threads, parallel=self._launcher.is_parallel)
         raster = replace(self.config.raster, strategy=RasterStrategy.SORTED, projection=Projection.EWA)
         config = RenderConfig(background=None, lighting=False, raster=raster, response=self.config.response)
@@ -523,7 +531,11 @@ class Renderer:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
-        """Returns the primary hits of the current sample, rasterised or traced; on CUDA by a recorded CUDA graph."""
+        """Returns the hits of the current sample's camera rays, rasterised or traced; on CUDA by a recorded CUDA
+        graph.
+
+        ``listed`` limits the sample to some rays (adaptive sampling); None: all pixels.
+        """
         count = 0 if listed is None else len(listed.ray)
 
         def find() -> PrimaryHits:

@@ -88,7 +88,7 @@ class SampleBudget:
 
 
 def is_noise_checked(samples: int) -> bool:
-    """Returns whether noise is estimated after this number of samples: `NOISE_CHECKS` times per doubling."""
+    """Returns whether noise is estimated after this number of samples: `NOISE_CHECKS` times in each doubling."""
     if samples < NOISE_SAMPLES_MIN:
         return False
     return samples % max(1, 2 ** (samples.bit_length() - 1) // NOISE_CHECKS) == 0

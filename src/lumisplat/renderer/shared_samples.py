@@ -21,8 +21,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 SAMPLES_PER_BLOCK = 32
-"""Number of samples in the blocks that processes render when they share a frame. A power of two, because a power of
-two of consecutive Sobol points is well distributed. The size affects how sums are rounded."""
+"""Number of consecutive samples that one process renders when several share a frame. It is a power of two, because so
+many consecutive Sobol points are well distributed. Another size changes how sums are rounded."""
 
 
 def sample_blocks(renderer: Renderer, scene: Scene) -> list[range]:

@@ -1,1 +1,1 @@
-"""The plan of a frame, and the scene on the device: assets, instances, lights, materials and BVHs."""
+"""The frame's plan (which passes run), and the scene on the device: assets, instances, lights, materials and BVHs."""

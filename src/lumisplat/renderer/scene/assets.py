@@ -86,7 +86,7 @@ def sync_splat_assets(scene: Scene, cached: list[SplatAsset], device: str) -> li
 
 
 def _on_device(gaussians: Gaussians, asset: SplatAsset | None, device: str) -> tuple[GaussianData, SplatAttributes]:
-    """Returns a set's device arrays: its cached arrays, the replaced asset's arrays with new values, or new arrays."""
+    """Returns a set's device arrays: new ones for ``asset`` None, else those of ``asset``, overwritten if needed."""
     if asset is None:
         data = upload_gaussians(gaussians, device)
         return data, upload_attributes(gaussians, data, device)
@@ -114,7 +114,9 @@ def upload_attributes(gaussians: Gaussians, data: GaussianData, device: str) -> 
 
 
 def are_alike(one: Gaussians, other: Gaussians) -> bool:
-    """Returns whether two sets have the same attributes, and equal numbers of Gaussians and SH coefficients."""
+    """Returns whether two sets' arrays are equal in kind and size: attributes, numbers of Gaussians and SH
+    coefficients.
+    """
     names = ("normals", "albedo", "roughness", "metallic")
     absent = [[getattr(gaussians, name) is None for name in names] for gaussians in (one, other)]
     return one.sh.shape == other.sh.shape and absent[0] == absent[1]
@@ -181,7 +183,7 @@ class MeshAssets:
         self._meshes = meshes
 
     def _upload_varied(self, meshes: dict[int, Mesh]) -> None:
-        """Uploads the materials of meshes whose transmission or layers (clearcoat, sheen) vary by textures."""
+        """Uploads a VariedData row for each mesh whose transmission, clearcoat or sheen varies by textures."""
         materials = {key: mesh.material for key, mesh in meshes.items() if varies(mesh)}
         self._varied = {key: 1 + number for number, key in enumerate(materials)}
         found = [material for material in materials.values() if isinstance(material, MaterialPbr)]
@@ -257,12 +259,12 @@ def texture_key(texture: np.ndarray) -> TextureKey:
 
 
 def first_of(counts: dict[Key, int]) -> dict[Key, int]:
-    """Returns the start index of each entry when entries of these lengths are stored one after another."""
+    """Returns the start index of each key's elements in a list that concatenates ``counts[key]`` elements per key."""
     return dict(zip(counts, np.cumsum([0, *counts.values()]).tolist(), strict=False))
 
 
 def as_device_array(values: np.ndarray, dtype: type[object], device: str) -> DeviceArray:
-    """Returns an array of an asset on the device; on the CPU, the result shares the host array's memory."""
+    """Returns an asset's NumPy array as a device array; on the CPU, both share memory."""
     # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
     if not shares_memory(device):
         return DeviceArray(values, dtype=dtype, device=device)

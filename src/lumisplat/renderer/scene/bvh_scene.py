@@ -52,7 +52,7 @@ class CachedBvh:
 
     gaussians: Gaussians
     data: GaussianData
-    """Device arrays of the asset; another object if the asset has been uploaded again."""
+    """Device arrays of the asset from which the BVH was built. An asset that is uploaded again has other arrays."""
     kernel: KernelData
     bvh: GaussianBvh
 
@@ -71,17 +71,20 @@ class BvhScene:
         self.assets: DeviceArray | None = None
         """``AssetBvh`` of each asset, as a table for kernels; None before the first ``sync``."""
         self._tlas_nodes: dict[SplatSets, DeviceArray] = {}
-        """Top-level trees over the world boxes of the instances in each subset; a leaf is stored as ``~instance``."""
+        """Nodes of the top-level BVH over the world boxes of the instances in each subset; leaf i is the link ``~i``
+        (bitwise not)."""
         self._synced: tuple[list[int], list[bytes], dict[SplatSets, list[bool]]] | None = None
         self.footprint = 0.0
         """Largest standard deviation by which rays widen Gaussians, over all instances, in pixel widths."""
         self.hit_distance = HIT_PEAK
-        """Hit distance that kernels compute: HIT_MEAN if any instance has it, else the hit distance of all instances.
+        """Where on a ray kernels compute hits: HIT_MEAN if any instance uses the mean, else the instances' common
+        HIT_PEAK or HIT_HULL.
         """
         self.stack = TRAVERSE_STACK_SMALL
-        """Number of stack entries that CUDA kernels need to traverse the BVHs, rounded up to one of two sizes."""
+        """Number of stack entries that CUDA kernels need to traverse the BVHs: `TRAVERSE_STACK_SMALL` if that
+        suffices, else `TRAVERSE_STACK`."""
         self.extent = 0.0
-        """Size of the largest instance, world space."""
+        """Largest diagonal over the instances of a box around nearly all means, world space."""
         self.packet_radius = 0.0
         """Largest distance of a ray's origin from its packet's first ray, world space; rays farther away are traced
         separately."""
@@ -107,7 +110,7 @@ class BvhScene:
 
     @property
     def graph_key(self) -> object:
-        """Values that a recorded CUDA graph contains: the graph is stale once any of them changes."""
+        """Values that are compiled into a recorded CUDA graph; if any changes, the graph must be recorded again."""
         if self.assets is None:
             return None
         # `stack` depends on the builds and on the top level, whose array may keep its address.
@@ -240,20 +243,20 @@ class BvhScene:
 
 
 def boxes_of_members(boxes: tuple[np.ndarray, np.ndarray], members: list[bool]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the instances' boxes, inverted for instances that are not members, which ``tree_of_boxes`` leaves out."""
+    """Returns boxes of which those of non-members are inverted (low above high): `tree_of_boxes` leaves them out."""
     chosen = np.array(members, bool)[:, None]
     return np.where(chosen, boxes[0], FAR), np.where(chosen, boxes[1], -FAR)
 
 
 def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
-    """Builds a small tree on the host by halving groups of boxes along their longest axis until nodes are full.
+    """Builds a small BVH on the host: each node's boxes are split into up to `NODE_WIDTH` children.
 
     Args:
         lows: Lower corners of M boxes, shape (M, 3).
         highs: Upper corners of the boxes, shape (M, 3); inverted boxes are left out.
 
     Returns:
-        Nodes, the root first; a leaf is stored as ``~index`` of its box.
+        Nodes, the root first; the link to box i is ``~i`` (bitwise not).
     """
     rows: list[np.ndarray] = []
 
@@ -273,7 +276,7 @@ def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
 
 
 def waiting_in_tree(nodes: np.ndarray) -> int:
-    """Returns the largest number of entries on the stack of a small tree's traversal, whatever the order of visits."""
+    """Returns the stack size that a traversal of a small BVH needs, whatever the order in which it visits children."""
     waiting = np.ones(len(nodes), dtype=np.int64)
     for number in reversed(range(len(nodes))):  # children come after their parents
         links: list[int] = nodes["link"][number].tolist()
@@ -283,7 +286,7 @@ def waiting_in_tree(nodes: np.ndarray) -> int:
 
 
 def empty_node() -> np.ndarray:
-    """Returns a node without children, as a table with one row."""
+    """Returns a BVH node without children, as a table with one row."""
     row = np.zeros(1, dtype=table_dtype(Node))
     for axis in "xyz":
         row[f"low_{axis}"], row[f"high_{axis}"] = FAR, -FAR
@@ -292,7 +295,10 @@ def empty_node() -> np.ndarray:
 
 
 def _split(items: np.ndarray, centers: np.ndarray) -> list[np.ndarray]:
-    """Splits items into groups, at most as many as a node has children."""
+    """Halves the largest group of items at the median of their centres until `NODE_WIDTH` groups exist.
+
+    Each half is cut along the axis in which the centres spread most; groups of one item stay whole.
+    """
     groups = [items] if len(items) else []
     while len(groups) < NODE_WIDTH:
         largest = max(range(len(groups)), key=lambda g: len(groups[g]), default=0)

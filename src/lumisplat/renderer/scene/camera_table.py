@@ -21,11 +21,11 @@ FULL_IMAGE_PIXELS_MAX = 2**31 - 1
 """
 
 FIELD_MARGIN = 0.1
-"""Angle in radians beyond a pinhole's widest ray up to which points are projected by the tangent of their angle.
-Farther out, where tangents would diverge, the projected distance from the centre grows in proportion to the angle."""
+"""Angle in radians by which points may lie outside a pinhole's widest ray and still be projected by the tangent of
+their angle. Farther out, where tangents diverge, the distance from the image centre grows linearly with the angle."""
 
 FIELD_MAX = 1.56
-"""Largest angle from the optical axis, radians, at which points are projected by the tangent of their angle."""
+"""Angle from the optical axis, radians, beyond which points are never projected by the tangent of their angle."""
 
 CENTER = (0.5, 0.5)
 """Position of a pixel's centre within the pixel."""
@@ -86,7 +86,7 @@ def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Pro
 
 
 def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.ndarray:
-    """Returns the camera as a table with one row, for kernels.
+    """Returns the camera as a table with one CameraData row, for kernels.
 
     Args:
         camera: The camera.
@@ -123,9 +123,9 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
 
 
 def image_field(camera: Camera) -> float:
-    """Returns the tangent of the largest angle from the optical axis at which a pinhole projects points by tangents.
+    """Returns the tangent of the angle from the optical axis up to which a pinhole projects sigma points by tangents.
 
-    The angle is ``FIELD_MARGIN`` wider than the rays of all pixels; it limits the projection of sigma points.
+    The angle is that of the widest pixel's ray plus ``FIELD_MARGIN``, at most ``FIELD_MAX``.
     """
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1)
@@ -135,7 +135,7 @@ def image_field(camera: Camera) -> float:
 
 
 def tile_grid(width: int, height: int) -> tuple[int, int]:
-    """Returns the number of tiles across and down an image."""
+    """Returns the number of rasteriser tiles across and down an image."""
     return -(-width // TILE_PX), -(-height // TILE_PX)
 
 

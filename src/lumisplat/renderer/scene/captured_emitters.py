@@ -22,24 +22,24 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene, SplatInstance
 
 EMITTER_BOXES = 16
-"""Number of boxes around parts of a capture that is sampled as a light."""
+"""Largest number of boxes that enclose parts of an emissive capture when it is sampled as a light."""
 
 EMITTER_REACH = 3.0
-"""Number of standard deviations around Gaussians that the boxes enclose."""
+"""Number of standard deviations of each Gaussian that the boxes around an emissive capture enclose."""
 
 EMITTER_FLAT = 1e-3
 """Shortest edge of a box as a fraction of its longest, so that the volume of a flat box exceeds rounding errors."""
 
 EMITTER_FLOOR = 0.05
-"""Fraction of the total power that the box around the whole capture gets; also the lowest luminance of a Gaussian, as
-a fraction of the mean."""
+"""Power of the box around a whole capture, as a fraction of the other boxes' total. Also the lowest luminance with
+which a Gaussian counts, as a fraction of the capture's mean."""
 
 EMITTER_GAUSSIANS = 16_384
 """Largest number of a capture's Gaussians from which boxes are computed."""
 
 EMITTER_RECEIVERS = 1024
-"""Number of triangles or Gaussians that represent an instance when captures are classified as lights or as surrounding
-scenery.
+"""Largest number of triangles or Gaussians of a lit object that are sampled to decide whether a capture counts as a
+light or as surrounding scenery.
 """
 
 Result = TypeVar("Result")
@@ -66,8 +66,8 @@ class CapturedEmitters:
         """Table of the boxes (EmitterBox) around captures that are sampled as lights; None: there are no such
         captures."""
         self.marked: DeviceArray | None = None
-        """Copy of the scene's splat instances in which only captures that are sampled as lights have the relit flag;
-        None: there are no such captures."""
+        """Copy of the scene's splat instances whose ``relit`` flag is 1 only for captures sampled as lights, so that
+        the tracer accumulates their radiance separately; None: there are no such captures."""
         self.instances: tuple[int, ...] = ()
         """Indices of the splat instances that are sampled as lights."""
         self._boxes: _AssetCache[Boxes] = _AssetCache(boxes_of)
@@ -107,7 +107,7 @@ class CapturedEmitters:
 
 
 class _AssetCache(Generic[Result]):
-    """Caches a function's result for each asset, until a call does not request the asset."""
+    """Caches a function's result for each asset; results that the latest call did not request are dropped."""
 
     def __init__(self, find: Callable[[Any], Result]) -> None:
         self._find = find
@@ -205,7 +205,7 @@ class _GaussianBoxes(NamedTuple):
         return _Box(0.5 * (low + high) @ axes, axes, half, power, members)
 
     def halves(self, box: _Box) -> list[_Box]:
-        """Splits a box across its longest axis at the median power, and returns the boxes of both halves."""
+        """Splits a box's Gaussians across its longest axis into halves of equal power, and returns a box around each."""
         along = self.means[box.members] @ box.axes[int(box.half.argmax())]
         order = np.argsort(along, kind="stable")
         power: Doubles = np.cumsum((self.luminance * self.areas)[box.members][order])

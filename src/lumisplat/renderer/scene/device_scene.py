@@ -37,7 +37,7 @@ _ANY_CAMERA = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class DeviceScene:
-    """Device copies of a scene's assets, and tables of its camera, instances, materials and lights.
+    """Device copies of a scene's Gaussian sets and meshes (assets), and tables of its camera, instances and lights.
 
     Args:
         launcher: Runs the kernels that build BVHs.
@@ -49,7 +49,8 @@ class DeviceScene:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._structure: tuple[list[int], list[int]] | None = None
         self._layout: list[object] | None = None
-        """Objects that hold the assets' arrays, in order; compared by identity with those of the next upload."""
+        """Objects that hold the device arrays of the assets, in order; if one is another object after an upload,
+        `version` grows."""
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed
@@ -65,8 +66,8 @@ class DeviceScene:
         self.gaussians: DeviceArray
         """``GaussianData`` of each distinct set; written by ``sync``."""
         self.camera, self.splat_camera = (buffers.get(f"camera{name}", CameraData, 1) for name in ("", ".splats"))
-        """Camera table for meshes, and camera table for Gaussians. The latter has no jitter if only meshes are
-        jittered."""
+        """CameraData tables for meshes (``camera``) and for Gaussians (``splat_camera``). They differ only if meshes
+        alone are jittered within the pixel."""
         self.sample = self._buffers.get("sample", SampleData, 1)
         self.splat_instances: DeviceArray
         """``SplatInstanceData`` of each splat instance; written by ``sync``."""
@@ -85,9 +86,10 @@ class DeviceScene:
         self.version = 0
         """Counter that changes when the device arrays of assets are replaced."""
         self.frame = LocalFrame(np.zeros(3))
-        """Local coordinate frame in which all device data is stored, geometry as well as camera."""
+        """Origin and unit to which all device data is relative, geometry as well as camera, because float32 is
+        imprecise far from 0."""
         self._synced: object = None
-        """Value of `graph_key` after the last ``sync``."""
+        """Value of `graph_key` at the end of the last ``sync``."""
 
     @staticmethod
     def modules(plan: FramePlan) -> list[KernelModule]:
@@ -181,7 +183,8 @@ class DeviceScene:
             self._synced = self.graph_key
 
     def take_assets(self, other: DeviceScene) -> None:
-        """Takes over the assets of another device scene; also its BVHs, if its kernel response equals this scene's.
+        """Takes over another device scene's assets, and its BVHs if its kernel response, which they bound, is the
+        same.
 
         Args:
             other: A device scene of the same launcher, which is not used any more.
@@ -194,7 +197,10 @@ class DeviceScene:
             self.bvh = other.bvh
 
     def _localised(self, scene: Scene, camera: Camera) -> tuple[Scene, Camera]:
-        """Returns scene and camera relative to a nearby origin, as float32 needs; the near plane fits the scene."""
+        """Returns scene and camera relative to an origin near the scene, because float32 is imprecise far from 0.
+
+        A camera with the default near plane gets a nearer one if the scene is small.
+        """
         frame, near = rendered_frame(scene)
         if not np.array_equal(frame.origin, self.frame.origin):
             self.motion.forget()
@@ -224,7 +230,7 @@ class DeviceScene:
         return tile_grid(*self.image_size)
 
     def _shading_row(self) -> ShadingScene:
-        """Returns the shading struct with sample, instances and meshes filled in."""
+        """Returns the ShadingScene struct with the current sample, the instances and the meshes filled in."""
         row = ShadingScene()
         row.sample = self.sample
         row.splats, row.mesh_instances, row.meshes = self.splat_instances, self.mesh_instances, self.mesh_data
@@ -249,7 +255,7 @@ class DeviceScene:
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
 
     def _note_layout(self, *, same_meshes: bool) -> None:
-        """Increases the version if an upload changed addresses; copying a set over another leaves them unchanged."""
+        """Increases ``version`` if the last upload replaced device arrays; overwriting existing arrays does not count."""
         layout: list[object] = [part for asset in self.assets for part in (asset.data, asset.instance_ids)]
         before = self._layout
         same_splats = before is not None and len(layout) == len(before) and all(map(operator.is_, layout, before))

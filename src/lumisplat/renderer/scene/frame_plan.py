@@ -1,4 +1,4 @@
-"""The plan of a frame: which passes run. The plan is computed once; how the passes work is in the settings."""
+"""The plan of a frame: which passes run, computed once from settings and scene."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
 
 SAMPLES_UNLIMITED = 1_000_000
-"""Largest number of samples of a frame that ends by time or noise; no scene needs so many."""
+"""Largest number of samples per pixel of a frame that ends by time limit or target noise; no scene needs so many."""
 
 SAMPLES_OF_RANDOM_LIGHT = 16
 """Default samples per pixel if light directions or alpha are sampled at random; the remaining noise is fine-grained."""
@@ -46,7 +46,7 @@ because each ray crosses Gaussians.
 """
 
 METAL_MIN = 0.5
-"""Factor ``metallic`` from which a rough material counts as a metal, which would be black without reflections."""
+"""Value of ``metallic`` from which a rough material counts as metal, so that it gets reflections and is not black."""
 
 AMBIENT_RAYS_OF_FRAMES = 2
 """Ambient shadow rays per frame and pixel on shadow catchers in real time. Few are enough, because frames are
@@ -62,9 +62,9 @@ SAMPLES_OF_PATHS = 64
 """Default number of paths per pixel."""
 
 CAPTURED_LIGHT_DRAWS = 32
-"""Number of directions in which each mesh pixel samples the light of a capture, over all samples of a frame.
-Directions need no shadow rays and cost little, and one sample per pixel is then enough.
-docs/adr/0093-meshes-in-captures-are-placed-automatically.md explains the choice."""
+"""Number of directions in which a mesh pixel samples an environment rendered from captures, summed over a frame's
+samples. Directions cost little without shadow rays, so one sample per pixel suffices
+(docs/adr/0093-meshes-in-captures-are-placed-automatically.md)."""
 
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
 """Images in ``aovs`` that unlit frames support as well as lit frames."""
@@ -81,12 +81,12 @@ class CapturedLight(LightEnvironment):
 
 @dataclass(frozen=True, slots=True)
 class SplatShadows:
-    """Kinds of surfaces on which splat sets may cast shadows."""
+    """Surfaces on which splat sets may cast shadows: reflecting surfaces, shadow catchers, both or none."""
 
     on_reflecting: bool
     """True if splat sets cast shadows on surfaces that reflect light. All splat sets cast such shadows."""
     on_shadow_catchers: bool
-    """True if splat sets cast shadows on shadow catchers. Only splat sets that are no catchers cast such shadows."""
+    """True if splat sets cast shadows on shadow catchers; only sets that are not shadow catchers themselves do so."""
 
     @classmethod
     def of(cls, scene: Scene) -> SplatShadows:
@@ -101,7 +101,7 @@ class SplatShadows:
 
 
 ON_ALL = SplatShadows(on_reflecting=True, on_shadow_catchers=True)
-"""Splat shadows on all kinds of surfaces, for rays from unknown surfaces."""
+"""Splat shadows on reflecting surfaces and shadow catchers, for rays whose surface is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +111,10 @@ class FramePlan:
     is_lit: bool
     """True if lights illuminate reflecting surfaces."""
     visibility: Visibility
-    """Method that finds primary hits."""
+    """Whether camera rays' hits (primary hits) are found by rasterisation or by ray tracing."""
     is_unscented: bool
-    """True if Gaussians are rasterised along the rays of any lens, by sigma points. Primary hits on meshes are then
-    traced."""
+    """True if Gaussians are rasterised by ``Projection.UNSCENTED``: projected by sigma points, for any lens, and
+    evaluated on pixel rays. Meshes that pixels show are then found by ray tracing."""
     integrator: Integrator
     """Integrator of the frame. Unlit frames never have a path-tracing integrator."""
     has_unshadowed: bool
@@ -125,10 +125,11 @@ class FramePlan:
     splat_shadows: SplatShadows
     """Kinds of surfaces whose shadow rays splat sets may block."""
     is_sampled: bool
-    """True if images are means of samples, which start at primary hits; otherwise `UnlitRaster` draws images directly.
+    """True if images are means over samples of an integrator; False if `UnlitRaster` composites an unlit frame
+    directly.
     """
     samples: int
-    """Largest number of samples per pixel; meaningless unless the frame is sampled."""
+    """Largest number of samples per pixel; meaningless if ``is_sampled`` is False."""
     adapts: bool
     """True if noisy pixels get more samples than others."""
     jitters: bool
@@ -138,7 +139,7 @@ class FramePlan:
     """True if samples of meshes, but not of Gaussians, are jittered within their pixel: the default if the scene has
     emissive captures."""
     samples_wanted: int
-    """Number of samples per pixel from which on the light of the frame is not visibly noisy."""
+    """Number of samples per pixel from which on the frame's randomly sampled lights show no visible noise."""
     noise_sources: tuple[str, ...]
     """Descriptions of the lights that are sampled in random directions, and are noisy with too few samples."""
     has_lobes: bool
@@ -151,7 +152,7 @@ class FramePlan:
     has_meshes: bool
     """True if the scene has mesh instances."""
     has_media: bool
-    """True if rays refract into meshes, and track the media that they are in."""
+    """True if rays refract into meshes and therefore store which meshes they are inside."""
     absorbs: bool
     """True if the medium inside a mesh absorbs light."""
     has_coatings: bool
@@ -159,7 +160,8 @@ class FramePlan:
     has_rough_glass: bool
     """True if paths scatter through rough transmissive surfaces."""
     has_shadow_catchers: bool
-    """True if some splat set is a shadow catcher that lights darken without path tracing."""
+    """True if some splat set of a lit frame that is not path-traced is a shadow catcher: shadows darken its captured
+    colours."""
     ambient_rays: int
     """Number of ambient shadow rays per sample from each visible shadow catcher, in random directions; 0 without
     ambient light."""
@@ -170,7 +172,8 @@ class FramePlan:
     mixes_sets: bool
     """True if the scene has both emissive captures and relit sets, whose radiance is accumulated separately."""
     has_mean_surface: bool
-    """True if the rasteriser finds the surface of relit Gaussians as a weighted mean."""
+    """True if the rasteriser averages depth, normal and material over a pixel's relit Gaussians to get the lit
+    surface."""
     has_receivers: bool
     """True if paths estimate the irradiance on shadow catchers, because added objects may block or add light."""
     shows_lights_in_haze: bool
@@ -207,10 +210,10 @@ class FramePlan:
 
     @property
     def draws_alpha(self) -> bool:
-        """True if rays hit translucent surfaces at random with probability alpha: in paths and in raster-only frames.
+        """True if rays hit a translucent mesh at random, with probability alpha: in path tracing, and without bounces.
 
-        Otherwise rays continue behind such surfaces with weight 1 - alpha. Surfaces of media are always hit, so that a
-        ray that enters a medium also leaves it.
+        False: rays composite the mesh with weight alpha and continue behind it. Meshes that enclose a medium (glass)
+        are always hit, so that a ray that enters them also leaves them.
         """
         return self.traces_paths or self.integrator is Integrator.DIRECT
 
@@ -305,7 +308,7 @@ class FramePlan:
 
 
 def may_jitter(config: RenderConfig, *, is_lit: bool) -> bool:
-    """Returns whether samples may be jittered within pixels; in real time, only if antialiasing averages frames."""
+    """Returns whether sub-pixel jitter is allowed; in real time, only in lit frames that antialiasing averages."""
     if config.pipeline.is_sequence:
         return config.jitter and is_lit and config.realtime.of_quality.antialiasing
     return config.jitter
@@ -334,14 +337,14 @@ def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
 
 
 def shows_lights_in_haze(config: RenderConfig, scene: Scene) -> bool:
-    """Returns whether paths may hit lights behind blended Gaussians; such lights need shadow rays."""
+    """Returns whether paths may hit visible lights behind translucent Gaussians; such lights need shadow rays."""
     if not config.pipeline.bounces_light or config.shadows is Shadows.OFF:
         return False
     return (has_emissive_captures(scene) or blends_first(config)) and any(map(is_visible, scene.lights))
 
 
 def adds_to_captures(scene: Scene) -> bool:
-    """Returns whether there are shadow catchers, and other objects that may block or add light on the catchers."""
+    """Returns whether the scene has shadow catchers and other objects, which may block or add light on the catchers."""
     captured = [instance.shadow_catcher for instance in scene.splats]
     return any(captured) and (bool(scene.meshes) or not all(captured))
 
@@ -349,7 +352,7 @@ def adds_to_captures(scene: Scene) -> bool:
 def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> int:
     """Returns the number of ambient shadow rays per sample from shadow catchers; 0 if they receive no ambient light.
 
-    A frame whose default is one sample gets as many rays as its ambient light needs.
+    Real-time frames: 2. Frames that have one sample by default: 16, because one random ray would be noisy. Others: 1.
     """
     catchers = [instance for instance in scene.splats if instance.shadow_catcher]
     if not (adds_to_captures(scene) and any(any(catcher_ambient(one, scene)) for one in catchers)):
@@ -365,7 +368,11 @@ def is_visible(light: Light) -> bool:
 
 
 def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lobes: bool) -> int:
-    """Returns the largest number of bounces; in real time, only bounces off smooth surfaces count."""
+    """Returns the largest number of bounces: of paths in lit path-traced frames, else of rays off smooth surfaces.
+
+    Without smooth surfaces, the latter is 1 if rough surfaces send a ray into their specular lobe (``has_lobes``), else
+    0.
+    """
     if config.pipeline.traces_paths and is_lit:
         return PATH_BOUNCES if config.max_bounces is None else config.max_bounces
     if not has_mirrors or not config.pipeline.spawns_rays:
@@ -390,7 +397,7 @@ def reflects_light(scene: Scene) -> bool:
 
 
 def finds_mean_surface(raster: RasterConfig) -> bool:
-    """Returns whether the rasteriser finds weighted-mean surfaces; stochastic samples have one Gaussian, hence none."""
+    """Returns whether the rasteriser averages the surface over a pixel's Gaussians, which needs sorted blending."""
     return raster.surface is GaussianSurface.MEAN and raster.strategy is RasterStrategy.SORTED
 
 
@@ -409,20 +416,26 @@ def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
 
 
 def draws_captured_light(aovs: Collection[str], scene: Scene) -> bool:
-    """Returns whether each sample takes the light of captures from many directions, so that one sample is smooth.
+    """Returns whether each sample takes an environment rendered from captures from many directions, without noise.
 
-    The images of single lights (``lights``) are computed in passes that sample one direction.
+    False with the layers of single lights (``lights`` in ``aovs``), whose passes sample one direction at a time.
     """
     return "lights" not in aovs and any(isinstance(light, CapturedLight) for light in scene.lights)
 
 
 def environment_draws(plan: FramePlan, scene: Scene) -> int:
-    """Returns in how many directions an unshadowed environment is sampled per surface point and sample."""
+    """Returns in how many directions per surface point and sample an environment without shadows is sampled.
+
+    It is 1, except for an environment rendered from captures: `CAPTURED_LIGHT_DRAWS` divided by the number of samples.
+    """
     return math.ceil(CAPTURED_LIGHT_DRAWS / plan.samples) if draws_captured_light(plan.aovs, scene) else 1
 
 
 def samples_of(noise_sources: tuple[str, ...], scene: Scene) -> int:
-    """Returns the number of samples per pixel that lights with these descriptions need; 1 if there are none."""
+    """Returns the samples per pixel at which randomly sampled lights look smooth; 1 without such lights.
+
+    ``noise_sources`` describes the lights.
+    """
     if not noise_sources:
         return 1
     return SAMPLES_OF_RANDOM_LIGHT if scene.meshes or SOFT_LIGHTS in noise_sources else SAMPLES_OF_ENVIRONMENT_ON_SPLATS
@@ -437,7 +450,7 @@ def has_rough_metal(scene: Scene) -> bool:
 
 
 def has_size(light: Light) -> bool:
-    """Returns whether soft shadows sample a light over its area or angle; False for environments."""
+    """Returns whether soft shadows sample a light over its area, radius or angle; False for environments."""
     if isinstance(light, LightEnvironment):
         return False
     return isinstance(light, AreaLight) or (light.angle if isinstance(light, LightDirectional) else light.radius) > 0.0

@@ -27,7 +27,8 @@ from lumisplat.scene.materials import AlphaMode, MaterialPbr, wraps_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 KERNEL_LINEAR_SLOPE = 0.329630334487
-"""Slope of the kernel of degree 0, max(1 - slope * d, 0), chosen so that it equals exp(-4.5) at d = 3; NVIDIA's value.
+"""Slope of the linear kernel (degree 0), ``max(1 - slope d, 0)`` at d standard deviations, from NVIDIA's 3DGRT: the
+response at d = 3 equals that of a Gaussian, exp(-4.5).
 """
 
 _ALPHA_MODES = {AlphaMode.OPAQUE: ALPHA_OPAQUE, AlphaMode.MASK: ALPHA_MASK, AlphaMode.BLEND: ALPHA_BLEND}
@@ -95,7 +96,7 @@ def is_antialiased(gaussians: Gaussians, antialiasing: Antialiasing) -> bool:
 
 
 def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
-    """Returns the standard deviation by which rays widen a set's Gaussians, in pixel widths."""
+    """Returns the standard deviation, in pixel widths, by which rays widen a set's Gaussians against aliasing."""
     return 0.0 if is_antialiased(gaussians, config.trace.antialiasing) else float(np.sqrt(config.trace.dilation))
 
 

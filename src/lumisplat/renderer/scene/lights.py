@@ -52,8 +52,8 @@ from lumisplat.scene.ops.surface_points import wrapped
 from lumisplat.scene.scene import MeshInstance, Scene
 
 ENVIRONMENT_SHARE_MIN = 4
-"""Smallest probability of a row or texel that is not black, in units of 1 / `ENVIRONMENT_SHARE_STEPS`, so that every
-such row and texel can be sampled."""
+"""Smallest sampling probability of an environment map's row or texel that is not black, in units of
+1 / `ENVIRONMENT_SHARE_STEPS`."""
 
 WHITE = np.ones((1, 1, 3), dtype=np.float32)
 """Image of an environment of constant colour."""
@@ -65,7 +65,7 @@ _KINDS: dict[type, int] = {
     LightRect: LIGHT_RECT,
     LightDisk: LIGHT_DISK,
 }
-"""Number of each light class in kernels; classes that are not listed are environments."""
+"""Integer by which kernels recognise each light class; a class that is not listed is an environment."""
 
 
 class LightTable:
@@ -213,9 +213,9 @@ def environment_cdfs(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
 
 
 def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Returns half the means of an interpolated image over its texels, along the first axis.
+    """Returns half the mean of a linearly interpolated image over each texel along the first axis, padded by one.
 
-    A mean is 3/4 of the texel's value and 1/8 of each neighbour's. Halving avoids overflow of float32 sums.
+    The mean is 3/4 of the texel's value plus 1/8 of each neighbour's. Halving avoids overflow of float32 sums.
     """
     parts = padded * np.float32(1.0 / 16.0)
     return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
@@ -244,9 +244,10 @@ def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
 
 
 _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
-"""Barycentric coordinates of the points of a triangle at which emissive textures are averaged."""
+"""Barycentric coordinates of the four points of a triangle at which an emissive texture is averaged."""
 _DARK_FRACTION = 0.05
-"""Lowest luminance assumed for a textured triangle, as a fraction of that of the texture's brightest triangle."""
+"""Lowest luminance with which a triangle with an emissive texture is sampled, as a fraction of that of the mesh's
+brightest triangle, because a few texels may miss bright spots."""
 
 
 class Emitters:

@@ -28,7 +28,7 @@ _VARIED = {
     "sheen_color_texture": "sheen_texture",
     "sheen_roughness_texture": "sheen_roughness_texture",
 }
-"""Names of the texture fields of VariedData, by the name of the field in materials."""
+"""Names of the texture fields of VariedData, by the name of the corresponding field of a material."""
 _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
 
 
@@ -44,7 +44,7 @@ def emits_capture_only(instance: SplatInstance) -> bool:
 
 
 def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
-    """Returns the ambient light on a shadow catcher from its material: ambient radiance divided by albedo.
+    """Returns the ambient light on a shadow catcher, by channel: radiance that it reflects, divided by its albedo.
 
     A catcher without a material gets a default if the scene has lights but no environment, because an environment is
     already ambient light. In scenes without lights the result is 0: paths light catchers by captures alone.
@@ -58,20 +58,20 @@ def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
 
 
 def is_relit(instance: SplatInstance) -> bool:
-    """Returns whether a splat set is relit: in lit frames it shows only light, not its captured colours."""
+    """Returns whether a splat set is relit: in lit frames, it reflects lights and hides its captured colours."""
     material = material_of(instance)
     ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
     return not instance.shadow_catcher and min(np.add(material.emissive, ambient)) < 1.0
 
 
 def is_medium(instance: MeshInstance, *, traces_paths: bool) -> bool:
-    """Returns whether rays refract into a mesh. Only paths refract into rough meshes."""
+    """Returns whether rays refract into a mesh of solid transmissive material; if it is rough, only paths do."""
     material = instance.mesh.material
     return (material.is_smooth or traces_paths) and isinstance(material, MaterialPbr) and material.is_solid
 
 
 def is_rough_glass(instance: MeshInstance) -> bool:
-    """Returns whether paths scatter through the surface of a mesh."""
+    """Returns whether the surface of a mesh scatters transmitted light (rough glass), which only paths follow."""
     material = instance.mesh.material
     return isinstance(material, MaterialPbr) and material.transmission > 0.0 and not material.is_smooth
 
@@ -168,7 +168,7 @@ def varies(mesh: Mesh) -> bool:
 
 
 def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) -> np.ndarray:
-    """Returns the rows of VariedData: an empty row for "not varied", then one row for each material."""
+    """Returns rows of VariedData: row 0 stays empty and stands for "not varied", then one row for each material."""
     table = np.zeros(1 + len(materials), dtype=table_dtype(VariedData))
     for row, material in zip(list[Any](table)[1:], materials, strict=True):
         row["transmission"], row["coat"], row["sheen"] = material.transmission, material.clearcoat, material.sheen_color

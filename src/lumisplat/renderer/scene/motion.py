@@ -25,12 +25,11 @@ from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 OUTDATED_HISTORY_WEIGHT = 1e-4
-"""Factor on the weight of cached lighting when a light appears or disappears. New samples replace the cached lighting
-at once; until they arrive it is better than nothing. Many outdated cells of a tile together weigh less than one new
-sample."""
+"""Factor on the weight of cached lighting in the frame in which a light appears or disappears: new samples replace the
+cached lighting at once, but where there are none yet, it is still shown."""
 
 CHANGED_HISTORY_WEIGHT = 0.7
-"""Factor on the weight of cached lighting in each frame after lights move or change a little: means then cover about
+"""Factor on the weight of cached lighting in each frame after lights move or change a little; means then cover about
 three frames."""
 
 CHANGED_FRAMES = 8
@@ -43,10 +42,10 @@ MOVED_FRAMES = 16
 """Number of frames for which cached lighting fades after objects move."""
 
 CHANGED_STRENGTH = 2.0
-"""Ratio between the strengths of a light in two frames above which the light counts as another light."""
+"""Ratio of a light's strengths in two consecutive frames above which the change counts as sudden, like a new light."""
 
 SMALL = 16
-"""Largest number of elements of arrays that are compared by value; larger arrays are compared by identity."""
+"""Largest number of elements with which two arrays are compared by value; larger ones are compared by identity."""
 
 Instance = TypeVar("Instance", SplatInstance, MeshInstance)
 
@@ -70,10 +69,12 @@ class Motion:
         self.camera = buffers.get("motion.camera", CameraData, 1)
         """Camera of the previous frame; written by ``sync``."""
         self.splats: DeviceArray
-        """``InstanceMotion`` of each splat instance; ``meshes`` holds those of mesh instances. Written by ``sync``."""
+        """``InstanceMotion`` of each splat instance; the field ``meshes`` has the mesh instances. Written by ``sync``.
+        """
         self.meshes: DeviceArray
         self.moved_to: wp.array[int]
-        """New index of each instance of the previous frame, splats first, encoded as for ``has_left``."""
+        """Index in this frame of each instance of the previous frame, splat instances first; UNMOVED (-1) if it stood
+        still, GONE (-2) if it was removed."""
 
     def sync(
         self,
@@ -165,14 +166,14 @@ def previous_indices(
 
 
 def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numbers: list[int | None]) -> list[int]:
-    """Returns the new index of each instance of the previous frame.
+    """Returns the index in this frame of each instance of the previous frame.
 
     The index is ``UNMOVED`` if the instance stands still, and ``GONE`` if the instance is not in this frame.
 
     Args:
-        now: Asset and transform of each instance.
-        before: Asset and transform of each instance of the previous frame.
-        numbers: Index of each instance in the previous frame; None: the instance is new.
+        now: Asset's id and transform's bytes of each instance.
+        before: Asset's id and transform's bytes of each instance of the previous frame.
+        numbers: Index that each instance of this frame had in the previous frame; None: the instance is new.
     """
     moved = [GONE] * len(before)
     for number, old in enumerate(numbers):
@@ -216,11 +217,13 @@ class LightState:
     """
 
     sources: Sequence[object]
-    """Types of the lights, and for each emissive mesh its size and emission."""
+    """Type of each light, and size and emission of each emissive mesh: if they differ, a light appeared or
+    disappeared."""
     strengths: list[npt.NDArray[np.float64]]
     """Strength of each light by channel, shape (3,) each."""
     rest: Sequence[object]
-    """Values of lights other than type and strength, transforms of emissive objects, and materials."""
+    """Everything else that determines lighting: fields of lights except strength, transforms of emissive objects,
+    materials."""
     objects: Sequence[object]
     """Gaussian sets and meshes with their transforms: the objects that reflect light and cast shadows."""
 
@@ -304,7 +307,7 @@ def has_changed_suddenly(before: LightState, now: LightState) -> bool:
 
 
 def in_order(lights: Sequence[Light]) -> list[Light]:
-    """Returns the enabled lights, sorted by type and values so that their order in the scene does not matter."""
+    """Returns the enabled lights sorted by type and values, so that their order in the scene does not matter."""
     enabled = [light for light in lights if light.enabled]
     return sorted(enabled, key=lambda light: (type(light).__name__, repr(values_of(light))))
 

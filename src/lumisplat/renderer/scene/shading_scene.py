@@ -61,7 +61,7 @@ class ShadingTables:
 
     @property
     def choice_count(self) -> int:
-        """Number of lights that paths choose from; all emissive triangles together count as one."""
+        """Number of lights that paths and real-time frames choose from; all emissive triangles together are one."""
         return self._table.count + self.has_emitters
 
     @property
