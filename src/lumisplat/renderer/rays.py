@@ -501,9 +501,7 @@ class RayProfiles:
     def _profile_of(
         self, scene: DeviceScene, user_scene: Scene, counts: IntArray, start: Callable[[slice], RayData]
     ) -> RayProfile:
-        """Returns the profile of rays with known numbers of hits, ``counts``; ``start`` makes a slice of the rays
-        again.
-        """
+        """Returns the profile of rays with known numbers of hits, ``counts``; ``start`` makes a slice of rays again."""
         first = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         parts = [
             self._rows(scene, start(slice(begin, end)), first[begin : end + 1] - first[begin])

@@ -488,9 +488,7 @@ class Renderer:
         return plan
 
     def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
-        """Uploads what changed in the scene; drops real-time frames' cached lighting if the device's local origin
-        moved.
-        """
+        """Uploads what changed in the scene; drops cached lighting of earlier frames if the device's origin moved."""
         before, self._developed = self._scene.frame, None
         self._scene.sync(scene, camera, plan)
         if not np.array_equal(before.origin, self._scene.frame.origin):
@@ -531,8 +529,7 @@ class Renderer:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
-        """Returns the hits of the current sample's camera rays, rasterised or traced; on CUDA by a recorded CUDA
-        graph.
+        """Returns the hits of the current sample's camera rays, rasterised or traced; CUDA replays a recorded graph.
 
         ``listed`` limits the sample to some rays (adaptive sampling); None: all pixels.
         """

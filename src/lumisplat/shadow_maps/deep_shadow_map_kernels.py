@@ -55,7 +55,7 @@ def prepare_occluders(
     occluders_out: wp.array[Occluder],
     footprints_out: wp.array[Footprint],
 ):
-    """Computes each caster's absorption and footprint as the light sees them. One item is one caster."""
+    """Computes each caster's absorption and footprint as the light sees them. One thread per caster."""
     i = start + wp.tid()
     occluder = occluder_of(atlas, casters, i, mapping, strength)
     occluders_out[i] = occluder
@@ -71,7 +71,7 @@ def bound_cells(
     parents: wp.array[int],
     cells_out: wp.array[Cell],
 ):
-    """Bounds the light rays through squares of ``side`` texels. One item is one square, called a cell.
+    """Bounds the light rays through squares of ``side`` texels. One thread per square, called a cell.
 
     ``corners`` holds face, x and y of the first texel of each square.
     """
@@ -114,7 +114,7 @@ def list_intersections(
     ends: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Lists the casters that `count_intersections` counted, in order. One item is one part of one cell's parent list.
+    """Lists the casters that `count_intersections` counted, in order. One thread per part of one cell's parent list.
 
     ``ends`` holds the end of each item's list in ``items_out``.
     """
@@ -141,7 +141,7 @@ def tabulate(
     occluders: wp.array[Occluder],
     table: Table,
 ):
-    """Tabulates the transmittance of a texel's column of depth bins. One item is one of ``texels``.
+    """Tabulates the transmittance of a texel's column of depth bins. One thread per element of ``texels``.
 
     The table first holds the optical depth that each bin adds to the previous bin's, then exp(-sum) of the optical
     depths up to each bin. Source: docs/method/deep_shadow_maps.md#optical-depth.
@@ -174,7 +174,7 @@ def mark_bins(
     firsts: wp.array[int],
     lasts: wp.array[int],
 ):
-    """Extends texels' columns to the bins that lookups of a receiver read. One item is one of ``rows``.
+    """Extends texels' columns to the bins that lookups of a receiver read. One thread per element of ``rows``.
 
     Not to be split over CPU threads, because several items write to one column by atomics.
     """
@@ -201,7 +201,7 @@ def average_transmittance(
     sampling: FootprintSampling,
     transmittance_out: wp.array[float],
 ):
-    """Computes the mean transmittance over the samples in a receiver's footprint. One item is one receiver."""
+    """Computes the mean transmittance over the samples in a receiver's footprint. One thread per receiver."""
     i = start + wp.tid()
     transmittance_out[i] = 1.0
     if not may_be_shadowed(atlas, bound, receivers, i):

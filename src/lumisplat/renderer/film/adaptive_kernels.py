@@ -14,7 +14,8 @@ from lumisplat.device.structs.camera import FilmData, ListedRays
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 NOISE_RADIUS_PX = 3
-"""Pixels to each side, in rows and columns, whose mean noise determines the sampling rate of a pixel."""
+"""Half the side, in pixels, of the square around a pixel (7 x 7 pixels) whose mean noise determines its sampling rate.
+"""
 
 FIRST = wp.constant(NOISE_SAMPLES_MIN)
 RATES = wp.constant(SAMPLE_RATES)
@@ -25,7 +26,10 @@ STEP_Y = wp.constant(wp.float64(SUBPIXEL_STEPS[1]))
 
 @wp.func
 def samples_before(sample: int, rate: int) -> int:
-    """Returns how many samples a pixel of sampling rate ``rate`` has when full-rate pixels have ``sample`` samples."""
+    """Returns how many of a frame's first ``sample`` samples a pixel takes part in.
+
+    The pixel takes part in the first `NOISE_SAMPLES_MIN` samples, then in ``rate`` of every `SAMPLE_RATES`.
+    """
     if sample < FIRST:
         return sample
     return FIRST + (sample - FIRST) * rate // RATES
@@ -33,7 +37,7 @@ def samples_before(sample: int, rate: int) -> int:
 
 @wp.func
 def subpixel(sample: int) -> wp.vec2:
-    """Returns the position of a sample within its pixel, 0..1; equal to that of the host's function of this name."""
+    """Returns the position of a sample within its pixel, 0..1; equal to that of the host function ``subpixel``."""
     n = wp.float64(sample)
     half = wp.float64(0.5)
     one = wp.float64(1.0)
@@ -42,7 +46,10 @@ def subpixel(sample: int) -> wp.vec2:
 
 @wp.kernel
 def mark_rays(start: int, sample: int, width: int, height: int, rates: wp.array[int], is_drawn_out: wp.array[int]):
-    """Per ray of the full frame: writes 1 if the ray's pixel takes part in this sample, else 0."""
+    """Per ray of the full frame: writes 1 if the ray's pixel gets a ray in sample ``sample``, else 0.
+
+    ``rates`` holds in how many of every `SAMPLE_RATES` samples each pixel takes part.
+    """
     ray = start + wp.tid()
     is_drawn_out[ray] = 0
     pixel = pixel_of_ray(width, ray)
@@ -79,14 +86,17 @@ def list_rays(
 
 @wp.kernel
 def measure_noise(start: int, least: float, film: wp.array[FilmData], noise_out: wp.array[float]):
-    """Per pixel: writes the pixel's noise, which is the variance of one sample relative to the squared luminance."""
+    """Per pixel: writes the variance of one sample's luminance, divided by the squared mean luminance.
+
+    Means below ``least`` count as ``least``.
+    """
     pixel = start + wp.tid()
     noise_out[pixel] = relative_variance(pixel, least, film)
 
 
 @wp.kernel
 def average_neighbors(start: int, width: int, height: int, noise: wp.array[float], mean_out: wp.array[float]):
-    """Per pixel: writes the mean noise of the neighbouring pixels, without values that are not finite."""
+    """Per pixel: writes the mean noise of the square of pixels around it, ignoring values that are not finite."""
     pixel = start + wp.tid()
     x = pixel % width
     y = pixel // width

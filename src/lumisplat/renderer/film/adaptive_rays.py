@@ -20,11 +20,11 @@ from lumisplat.runtime.primitives import prefix_sum
 
 SAMPLE_RATE_MIN = 2
 """Lowest sampling rate of a pixel, in units of 1 / `SAMPLE_RATES`. Pixels that seem free of noise still take part in
-an eighth of all samples, because their few samples may have missed light."""
+an eighth of all samples, because the few samples they had may have missed light."""
 
 NOISE_LUMINANCE_MIN = 0.01
-"""Linear luminance after exposure below which errors are absolute instead of relative. An error of 2 % at this
-luminance is a third of an 8-bit step in display space."""
+"""Linear luminance after exposure below which noise is measured as an absolute instead of a relative error. At this
+luminance, an error of 2 % is a third of an 8-bit step in display space."""
 
 
 class AdaptiveRays:
@@ -45,7 +45,7 @@ class AdaptiveRays:
         return [kernels]
 
     def begin(self, size: tuple[int, int]) -> None:
-        """Starts a frame of ``size`` (width, height); all pixels take part in all samples until `choose_rates`."""
+        """Starts a frame of ``size`` (width, height); every pixel takes part in every sample until `choose_rates`."""
         self._size = size
         self.rates.fill_(SAMPLE_RATES)
 
@@ -56,14 +56,14 @@ class AdaptiveRays:
 
     @property
     def listed(self) -> ListedRays:
-        """Arrays with room for the rays of all pixels."""
+        """Arrays with room for a list of the rays of all pixels."""
         return self._listed(grown_capacity(ray_count(*self._size)))
 
     def list(self, sample: int, *, jitters: bool) -> ListedRays:
         """Returns the rays of the pixels that take part in a sample; unused entries at the end are -1.
 
         Args:
-            sample: Index of the sample, as pixels of full rate count samples.
+            sample: Index of the sample in the frame; pixels with a low sampling rate skip some indices.
             jitters: Whether samples are spread over their pixels; False: all samples have the position of the first.
         """
         count, (width, height) = ray_count(*self._size), self._size
@@ -79,7 +79,7 @@ class AdaptiveRays:
         return listed
 
     def choose_rates(self, film: DeviceArray, least: float) -> None:
-        """Chooses each pixel's sampling rate from the mean noise of the pixels around.
+        """Sets each pixel's sampling rate in proportion to the mean noise of the 7 x 7 pixels around it.
 
         Args:
             film: The film, with the first `NOISE_SAMPLES_MIN` samples of all pixels.
@@ -93,7 +93,7 @@ class AdaptiveRays:
             self.rates.assign(rates_of(means.numpy()))
 
     def total_before(self, sample: int) -> int:
-        """Returns the number of samples of all pixels together when a pixel of full rate has ``sample`` samples."""
+        """Returns how many samples all pixels together have after the frame's first ``sample`` samples."""
         first = min(sample, NOISE_SAMPLES_MIN)
         rates = self.rates.numpy().astype(np.int64)
         return first * len(rates) + int(((sample - first) * rates // SAMPLE_RATES).sum())
@@ -107,10 +107,9 @@ class AdaptiveRays:
 
 
 def rates_of(noise: FloatArray) -> IntArray:
-    """Returns the sampling rate of each of N pixels, in proportion to its noise, (N,).
+    """Returns each of N pixels' sampling rate, in units of 1 / `SAMPLE_RATES`, in proportion to its noise, (N,).
 
-    Pixels whose samples vary more need more samples for equal errors. Pixels noisier than the quantile `NOISE_PIXELS`
-    have the full rate.
+    Pixels noisier than the quantile `NOISE_PIXELS` take part in all samples.
 
     Args:
         noise: Relative variance of one sample of each pixel, (N,).
@@ -123,7 +122,7 @@ def rates_of(noise: FloatArray) -> IntArray:
 
 
 def least_luminance(exposure: float, *, is_lit: bool) -> float:
-    """Returns the luminance below which errors are absolute instead of relative: linear if lit, else sRGB-encoded."""
+    """Returns the luminance below which a pixel's error is absolute: linear for a lit frame, else sRGB-encoded."""
     if is_lit:
         return NOISE_LUMINANCE_MIN / exposure_gain(exposure)
     return float(encode_srgb(np.float32(NOISE_LUMINANCE_MIN)))

@@ -1,4 +1,4 @@
-"""Kernels that blur the shadow ratios of catchers where the depths of their surface are noisy. One thread per pixel.
+"""Kernels that blur the shadow ratios of catchers where the captured surface's depth is noisy. One thread per pixel.
 
 A shadow ratio is the captured colour with added objects and lights over the captured colour without them. The equations
 are in docs/method/lighting.md#captures-without-a-surface.
@@ -16,19 +16,20 @@ from lumisplat.device.structs.shading import ShadingScene
 wp.set_module_options({"enable_backward": False})
 
 CATCHER_STEPS = 144
-"""Number of steps along the full frame's longer side; depth noise is measured between pixels one step apart. A step is
-about the size of Gaussians of short trainings. Depths of adjacent pixels are too smooth to show the noise."""
+"""Number of steps into which the full frame's longer side is divided. Depth noise of a captured surface is measured
+between pixels one step apart, about the size of a Gaussian, because adjacent pixels show the same Gaussian."""
 
 CATCHER_BLUR = 2.0
-"""Standard deviation of the blur of a shadow ratio, as a multiple of the noise of the surface height; the blur of one
-pixel is subtracted. With 2, the shadow on a wall of 12,000 Gaussians has one edge, and ratios on floors with a clear
-surface do not change at all."""
+"""Ratio of a shadow ratio's blur to the noise of the captured surface: its standard deviation in pixels is
+``sqrt((2 noise)^2 - 1)``, where the noise is that of the surface's height in pixel sizes. Surfaces with noise below
+half a pixel are not blurred."""
 
 CATCHER_BLUR_STEPS = 2
 """Largest standard deviation of the blur of a shadow ratio, in steps of `CATCHER_STEPS`."""
 
 CATCHER_DEPTHS = 16.0
-"""Standard deviation of the blur's weight by depth difference, as a multiple of the noise of the surface height."""
+"""Standard deviation of the bilateral blur of shadow ratios in depth, as a multiple of the noise of the surface's
+height."""
 
 STEPS = wp.constant(CATCHER_STEPS)
 BLUR = wp.constant(wp.float32(CATCHER_BLUR))
@@ -40,13 +41,13 @@ DEVIATION = wp.constant(wp.float32(math.sqrt(math.pi / 2.0) / 6.0))
 
 @wp.func
 def stride_of(camera: CameraData) -> int:
-    """Returns the distance in pixels between the pixels whose depths are compared: one step of `CATCHER_STEPS`."""
+    """Returns the distance in pixels between pixels whose depths are compared: the longer side / `CATCHER_STEPS`."""
     return wp.max((wp.max(camera.full_width, camera.full_height) + STEPS // 2) // STEPS, 2)
 
 
 @wp.func
 def catches(pixel: int, scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
-    """Returns whether the surface that a pixel shows is a shadow catcher."""
+    """Returns whether the surface at a pixel belongs to a shadow catcher."""
     instance = film[0].pixels.instance[pixel]
     if instance < 0 or instance >= scene[0].splats.shape[0] or film[0].pixels.depth[pixel] >= wp.inf:
         return False
@@ -80,7 +81,7 @@ def store_ratios(
 
 @wp.func
 def depth_at(x: int, y: int, camera: CameraData, depths: wp.array[float]) -> float:
-    """Returns the depth that `store_ratios` wrote for a pixel; -1 outside the image."""
+    """Returns a pixel's entry of ``depths``, which `store_ratios` wrote; -1 outside the image."""
     if x < 0 or y < 0 or x >= camera.width or y >= camera.height:
         return float(-1.0)
     return depths[y * camera.width + x]
@@ -88,7 +89,10 @@ def depth_at(x: int, y: int, camera: CameraData, depths: wp.array[float]) -> flo
 
 @wp.func
 def per_pixel(value: float, camera: CameraData) -> float:
-    """Returns the factor that converts small differences of depths near ``value`` to units of the pixel size there."""
+    """Returns the factor by which small differences of stored depths become heights in pixel sizes.
+
+    The factor is focal length / ``value`` for a depth stored as 1 / depth near ``value``; see `store_ratios`.
+    """
     focal = wp.sqrt(camera.focal[0] * camera.focal[1])
     return wp.where(camera.model == ORTHOGRAPHIC, focal, focal / value)
 
@@ -100,9 +104,10 @@ def measure_depths(
     depths: wp.array[float],
     measured_out: wp.array[wp.vec4],
 ):
-    """Writes a pixel's depth noise and the depth's slopes to the right and down, in pixel sizes, and a count of 1.
+    """Per pixel: writes (noise, slope to the right, slope down, 1) of the depth around it, in pixel sizes.
 
-    All four numbers are 0 if a compared pixel has no depth.
+    The noise is a mixed second difference over 3 x 3 pixels one stride apart (Immerkær 1996). All four numbers are 0 if
+    one of these pixels has no depth.
     """
     pixel = start + wp.tid()
     measured_out[pixel] = wp.vec4(0.0)
@@ -148,10 +153,11 @@ def sum_depths(
 
 @wp.kernel
 def find_noise(start: int, camera: wp.array[CameraData], sums: wp.array[wp.vec4], noise_out: wp.array[float]):
-    """Writes the noise of the surface height in pixel sizes: the lowest mean of four squares diagonal to the pixel.
+    """Per pixel: writes the noise of the captured surface's height, in pixel sizes.
 
-    At the edge of a surface, at least one square shows the surface only. The noise is 0 if no square has enough pixels
-    with a depth.
+    The noise is averaged over four squares of pixels, diagonally above and below the pixel; the lowest mean counts,
+    because at the edge of a surface at least one square shows that surface alone. It is 0 if no square has enough
+    depths.
     """
     pixel = start + wp.tid()
     x = pixel % camera[0].width
@@ -173,7 +179,7 @@ def find_noise(start: int, camera: wp.array[CameraData], sums: wp.array[wp.vec4]
 
 @wp.func
 def blur_of(noise: float, stride: int) -> float:
-    """Returns the standard deviation of a shadow ratio's blur, pixels; exactly 0 for noise below half a pixel."""
+    """Returns a shadow ratio's blur, a standard deviation in pixels, from the surface's noise; 0 below half a pixel."""
     wide = BLUR * noise
     return wp.min(wp.sqrt(wp.max(wide * wide - 1.0, 0.0)), float(BLUR_STEPS * stride))
 
@@ -189,10 +195,10 @@ def smooth_ratios(
     ratio: wp.array[wp.vec3],
     ratio_out: wp.array[wp.vec3],
 ):
-    """Blurs the shadow ratios along rows or, with ``down``, columns, over pixels of similar depth.
+    """Blurs shadow ratios along rows or, with ``down``, columns, with weights by distance and depth difference.
 
-    Depths are similar if they differ by no more than their noise explains. A pixel of Gaussians too thin for a surface
-    gets the mean ratio of the surfaces around, weighted by the pixel's alpha.
+    A pixel whose Gaussians are too thin for a surface gets the mean ratio of the surfaces around it, weighted by its
+    alpha.
     """
     pixel = start + wp.tid()
     ratio_out[pixel] = ratio[pixel]

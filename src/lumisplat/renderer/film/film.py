@@ -41,7 +41,8 @@ CATCHER_LAYERS = {
     "captured_ambient": "ambient",
     "captured_open": "open",
 }
-"""Light that shadow catchers receive: name of the film's field, and of the field of ray radiance that it averages."""
+"""For each component of the light on shadow catchers: the name of the film's image, and of the RayRadiance field whose
+samples the image averages."""
 
 
 class Film:
@@ -78,8 +79,9 @@ class Film:
         Args:
             scene: The scene.
             plan: Plan of the frame.
-            resume: The frame to resume.
-            part: The samples to render, if not all of the frame. Samples that the part already holds are restored.
+            resume: The frame to resume; None: a new frame.
+            part: The range of samples to render, if processes share the frame; None: all. Samples that the part already
+                holds are restored.
 
         Raises:
             ConfigError: The frame to resume lacks accumulated images.
@@ -121,7 +123,7 @@ class Film:
         """Returns the rays of the pixels that take part in a sample; None: all pixels take part.
 
         Args:
-            sample: Index of the sample, as pixels of full sampling rate count samples.
+            sample: Index of the sample in the frame; pixels with a low sampling rate skip some indices.
             exposure: Exposure of the camera, stops.
         """
         self._samples += 1
@@ -132,11 +134,11 @@ class Film:
         return self._adaptive.list(sample, jitters=self._plan.jitters)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
-        """Adds the current sample's radiance, held by the wave of camera rays; on CUDA by a recorded CUDA graph."""
+        """Adds the current sample: the camera rays' radiance in ``wave``, and layers by light. CUDA replays a graph."""
         self._launcher.replay("store", (scene.graph_key, wave.count), lambda: self._store(scene, wave, lights))
 
     def noise(self, exposure: float) -> float:
-        """Estimates the relative error that a fraction `NOISE_PIXELS` of the pixels does not exceed.
+        """Estimates the relative error below which `NOISE_PIXELS`, a fraction, of the pixels lie.
 
         Args:
             exposure: Exposure of the camera, stops; dark pixels count as less noisy.
@@ -262,7 +264,7 @@ class Film:
         return drawn - int(self._count.numpy().sum(dtype=np.int64))
 
     def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
-        """Returns the layers of the current sample by name, each an array of wp.vec3."""
+        """Returns the layers (AOVs) of the current sample by name, each an array of one wp.vec3 per ray."""
         images: dict[str, DeviceArray] = {
             name: getattr(wave.row.radiance, name)
             for name in ("albedo", "emission", "reflection")
@@ -371,7 +373,7 @@ class Film:
 
     @property
     def _adds_captured(self) -> bool:
-        """True if captured colours, or changes of captured colours, must still be added to the emission layer."""
+        """True if captured colours, or what lights change about them, must still be added to the emission layer."""
         return "emission" in self._plan.aovs and (self._plan.traces_paths or self._plan.has_shadow_catchers)
 
     def _image(self, name: str) -> DeviceArray:
@@ -423,7 +425,7 @@ def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[s
 
 
 def _images_of_frame(frame: Frame) -> dict[str, npt.NDArray[Any]]:
-    """Returns the images of the frame to resume, by the names of the film's buffers."""
+    """Returns the images of the frame to resume, under the names of the film's buffers."""
     images = {
         "color": frame.color if frame.captured is None else frame.captured,
         "alpha": frame.alpha,
@@ -438,7 +440,10 @@ def _images_of_frame(frame: Frame) -> dict[str, npt.NDArray[Any]]:
 
 
 def _images_of_part(part: SamplePart) -> dict[str, npt.NDArray[Any]]:
-    """Returns the images of a part of a frame: its stored surfaces, and zeros for images that its sums determine."""
+    """Returns the film's images for a part of a frame: the part's depths, normals and indices; colours are 0.
+
+    Colours are computed from the part's sums afterwards.
+    """
     width, height = part.size
     empty = np.zeros((height, width), np.float32)
     black = np.zeros((height, width, 3), np.float32)

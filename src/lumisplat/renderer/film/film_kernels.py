@@ -47,13 +47,13 @@ def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
 
 @wp.func
 def begins_frame(scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
-    """Returns whether the current sample is the first of its frame, or of the part of a frame that is rendered."""
+    """Returns whether the current sample is the first of the frame, or of the range of samples that is rendered."""
     return film[0].in_sequence == 1 or scene[0].sample[0].index == film[0].first_sample
 
 
 @wp.func
 def surface_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
-    """Returns the first surface on a ray; an empty surface for inactive rays."""
+    """Returns the first surface on ray ``i``; an empty surface if the ray is inactive."""
     surface = FirstSurface()
     surface.depth = wp.inf
     surface.gaussian = -1
@@ -70,9 +70,10 @@ def add_samples(
     wave: wp.array[WaveData],
     film_inout: wp.array[FilmData],
 ):
-    """Adds a sample to the sums of its pixel; the first sample also stores the surface that its ray hits.
+    """Per ray: adds the sample to its pixel's sums; the first sample also stores the surface that its ray hits.
 
-    Samples that are not finite are dropped and not counted. Without sums, the sample itself becomes the images.
+    Samples that are not finite are dropped and not counted. A frame of one sample has no sums: the sample is written to
+    the images directly.
     """
     i = start + wp.tid()
     pixel = pixel_index(i, film_inout)
@@ -94,7 +95,7 @@ def add_samples(
 
 @wp.kernel
 def restore_sums(start: int, film_inout: wp.array[FilmData]):
-    """Per pixel: recomputes the sums of a frame from its images, if the frame has one sample."""
+    """Per pixel: computes the sums of a frame with one sample, which has none, from its images."""
     pixel = start + wp.tid()
     if film_inout[0].count[pixel] == 1:
         add_to_sums(pixel, sample_of_pixel(pixel, film_inout), film_inout)
@@ -165,7 +166,7 @@ def add_image(
     values: wp.array[wp.vec3],
     image_inout: wp.array[wp.vec3],
 ):
-    """Adds a sample to the mean colours of an image. Must run before `add_samples` counts the sample."""
+    """Per ray: adds the sample to the mean of an image. Must run before `add_samples` counts the sample."""
     i = start + wp.tid()
     pixel = pixel_index(i, film)
     if pixel < 0:
@@ -178,7 +179,7 @@ def add_image(
 
 @wp.kernel
 def count_hits(start: int, wave: wp.array[WaveData], count_out: wp.array[wp.vec3]):
-    """Writes how many Gaussians each ray blended; all three channels get the number."""
+    """Per ray: writes the number of Gaussians that were blended, in all three channels."""
     i = start + wp.tid()
     count_out[i] = wp.vec3(0.0)
     if wave[0].rays.is_active[i]:
@@ -187,7 +188,7 @@ def count_hits(start: int, wave: wp.array[WaveData], count_out: wp.array[wp.vec3
 
 @wp.kernel
 def merge_captured(start: int, wave_inout: wp.array[WaveData]):
-    """Sets ``captured`` of lit rays to their total linear radiance, for queries that need only the total."""
+    """Sets ``captured`` of lit rays to their total linear radiance, for ray queries that need only the total."""
     i = start + wp.tid()
     captured = captured_color(wave_inout[0].radiance.captured[i], wave_inout[0].radiance.captured_weight[i])
     wave_inout[0].radiance.captured[i] = captured + wave_inout[0].radiance.light[i]

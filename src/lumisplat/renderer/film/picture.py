@@ -35,7 +35,7 @@ def encoded_lit_pixels(
     lit: PixelBuffers[LitPixels],
     display: ToneMapData,
 ) -> DeviceArray:
-    """Encodes a lit frame in the format of `encoded_pixels`. Bytes equal the host's, except for rounding at halves."""
+    """Encodes a lit frame in the format of `encoded_pixels`. Bytes equal the host's, except where they round a half."""
     picture = _empty_picture(buffers, pixels)
     inputs = display, pixels.data, lit.data, picture
     launcher.run_banded(picture_kernels.encode_lit_pixels, len(picture) - 1, *inputs)

@@ -50,7 +50,7 @@ class PixelBuffers(Generic[Pixels]):
     fields: tuple[tuple[str, type[object], int], ...]
     """Arrays in the block, in order: field name, element type, and 32-bit words per element."""
     downloads: Downloads
-    """Downloads the block to the host."""
+    """Copies the block to the host."""
 
     @staticmethod
     def of(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[PixelData]:
@@ -72,7 +72,7 @@ class PixelBuffers(Generic[Pixels]):
         return {name: read() for name, read in self._reads(copies, "pixels").items()}
 
     def images(self, copies: Copies, name: str) -> dict[str, Any]:
-        """Returns the images in copies of ``block``, or functions that download them; shapes (H, W) or (H, W, 3).
+        """Returns the images of a copied block by field name, or functions that download them; (H, W) or (H, W, 3).
 
         Args:
             copies: Copies of ``block`` and of other arrays.

@@ -1,4 +1,4 @@
-"""Path tracing, wave by wave: a wave is one ray each of all paths that are still alive. One item is one ray of a wave.
+"""Path tracing, wave by wave: a wave is one ray each of all paths that are still alive. One thread per ray of a wave.
 
 ``add_hit_radiance`` adds the emitted radiance at the rays' hits and the environment radiance behind. ``continue_paths``
 samples a light and the next direction. ``add_sampled_light`` runs after the shadow rays, and ``spawn_paths`` starts the
@@ -144,7 +144,7 @@ def add_captured_light(
     environment behind them.
 
     Args:
-        start: First item: a ray.
+        start: Offset added to the thread index, which is the index of a ray.
         no_shadows: Whether light passes through everything.
         scene: The scene.
         wave: The wave of the rays.
@@ -197,7 +197,7 @@ def add_hit_radiance(
     """Adds the radiance emitted at the rays' hits, and the environment radiance behind them.
 
     Args:
-        start: First item: a ray.
+        start: Offset added to the thread index, which is the index of a ray.
         number: Index of the wave.
         no_shadows: Whether light passes through everything.
         scene: The scene.
@@ -272,7 +272,7 @@ def continue_paths(
     """Chooses the surface by which each path continues, samples a light there, and samples the next direction.
 
     Args:
-        start: First item: a ray.
+        start: Offset added to the thread index, which is the index of a ray.
         number: Index of the wave.
         no_shadows: Whether light passes through everything.
         scene: The scene.

@@ -1,1 +1,1 @@
-"""Computes how the rays of a wave interact with surfaces, and the direct light there."""
+"""Computes how camera, reflected and refracted rays interact with surfaces, and the direct light there."""

@@ -1,4 +1,7 @@
-"""Host pass: direct light where a wave's rays hit surfaces, with shadow rays to every light that casts shadows."""
+"""Host pass: direct light where rays hit surfaces, with shadow rays to every light that casts shadows.
+
+A wave is all rays after the same number of reflections and refractions.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from lumisplat.scene.lights import LightEnvironment
 
 
 class DirectLight:
-    """Adds direct light to waves of rays at their interactions: up to two points per ray, where it hits surfaces."""
+    """Adds direct light to rays at their interactions: up to two points per ray, on Gaussians and on a mesh."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
@@ -35,11 +38,11 @@ class DirectLight:
         return modules
 
     def begin_sample(self, sample: int) -> None:
-        """Begins a sample, before its first wave."""
+        """Begins sample ``sample`` of the frame; call it before the camera rays of the sample are lit."""
         self._shadows.begin_sample(sample)
 
     def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds the radiance that surfaces reflect from all lights towards a wave's rays."""
+        """Adds the radiance that surfaces reflect from all lights to the rays that hit them, those of ``wave``."""
         # Shadow catchers darken by the blocked fraction of all light, so they need unshadowed lights, too.
         one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_catchers)
         if plan.has_unshadowed and not one_by_one:
@@ -49,7 +52,10 @@ class DirectLight:
             self._add_one_by_one(scene, plan, wave, also_unshadowed=one_by_one)
 
     def images(self, scene: DeviceScene, plan: FramePlan, count: int) -> LightImages:
-        """Returns images of each light's radiance for ``count`` primary rays; empty unless ``aovs`` has ``lights``."""
+        """Returns each light's images, without and with shadows, for ``count`` camera rays.
+
+        There are no images unless ``RenderConfig.aovs`` has ``lights``.
+        """
         if "lights" not in plan.aovs:
             return LightImages()
         numbers = range(len(scene.lights.names))
@@ -63,7 +69,7 @@ class DirectLight:
         return wave.is_primary and "lights" in plan.aovs
 
     def _add_unshadowed(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds all lights that cast no shadow in one pass; these are all lights if the frame has no shadows."""
+        """Adds all lights without shadows in one pass; if the frame has no shadows, these are all lights."""
         no_shadows = not plan.casts_shadows
         lights = [light for light in scene.lights.lights if no_shadows or not light.casts_shadow]
         analytic = sum(not isinstance(light, LightEnvironment) for light in lights) + scene.lights.has_headlight
@@ -127,11 +133,14 @@ class DirectLight:
                 self._launcher.run_banded(kernels.add_catcher_light, wave.count, *inputs)
 
     def _catcher_light(self, number: int, wave: RayWave) -> DeviceArray:
-        """Returns the buffer of one light's irradiance on a wave's shadow catchers, first unshadowed, then shadowed."""
+        """Returns a buffer of light ``number``'s irradiance on shadow catchers: N unshadowed, then N shadowed values.
+
+        N is the number of rays of the wave.
+        """
         return self._buffers.get(f"light.caught{number}", wp.vec3, 2 * wave.count)
 
     def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: CatcherIrradiance) -> None:
-        """Estimates the fraction of ambient light that reaches each shadow catcher, and adds it to ``arrivals``."""
+        """Traces ambient shadow rays from shadow catchers, and adds the unoccluded fraction of each to ``arrivals``."""
         rays, media = self._shadow_rays(wave), self._media(plan, wave)
         for number in range(plan.ambient_rays):
             inputs = number, scene.shading, wave.data, rays, media
@@ -142,7 +151,7 @@ class DirectLight:
     def _contributions(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, number: int, samples_bsdf: bool
     ) -> DeviceArray:
-        """Returns a light's radiance contributions without shadows, two per ray; also writes their shadow rays."""
+        """Returns light ``number``'s contributions without shadows, two per ray; also writes their shadow rays."""
         contributions = self._buffers.get("light.contributions", wp.vec3, 2 * wave.count)
         with self._launcher.stage("shade"):
             self._launcher.run_banded(
@@ -155,7 +164,7 @@ class DirectLight:
         return contributions
 
     def _visibility(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> DeviceArray:
-        """Traces the shadow rays, and returns the transmittance of each, which is the visibility of its light."""
+        """Traces the shadow rays, and returns their transmittances, which are the visibilities of the light."""
         skips = wave.row.interactions.shadow_catcher
         with self._launcher.stage("shadow"):
             return self._shadows.trace(

@@ -1,4 +1,4 @@
-"""Kernels of direct light with shadow rays, light by light. One item is one ray of a wave.
+"""Kernels of direct light with shadow rays, light by light. One thread per ray of a wave.
 
 A ray has two interactions: with the surface of its Gaussians, and with the mesh behind. ``spawn_shadow_rays`` runs
 before the shadow rays of each light are traced, ``add_light`` afterwards. ``darken_captured`` runs after the last
@@ -28,7 +28,8 @@ from lumisplat.device.structs.shading import CatcherIrradiance, CatcherLight, Co
 wp.set_module_options(SHADE_OPTIONS)
 
 AMBIENT_BRANCH = wp.constant(1 << 21)
-"""First branch number of a ray's random key for ambient rays; lights and specular lobes have lower branch numbers."""
+"""First number by which ambient rays derive their random keys from a ray's; lights and specular lobes use lower
+numbers."""
 
 
 @wp.kernel
@@ -42,7 +43,7 @@ def spawn_shadow_rays(
     media_out: wp.array[wp.vec4i],
     contributions_out: wp.array[wp.vec3],
 ):
-    """Writes a light's contributions without shadows, its shadow rays, and the media around their origins.
+    """Per ray: writes a light's contributions without shadows, its shadow rays, and the media around their origins.
 
     ``number`` is the index of the light. ``media_out`` is empty if no medium absorbs.
     """
@@ -116,7 +117,7 @@ def spawn_ambient_rays(
     rays_out: RayData,
     media_out: wp.array[wp.vec4i],
 ):
-    """Starts a cosine-weighted shadow ray from each shadow catcher that a ray hits.
+    """Per ray: starts a cosine-weighted shadow ray from the shadow catcher that the ray hits, if any.
 
     ``number`` is the index of the ambient ray within the sample. ``media_out`` is empty if no medium absorbs.
     """
@@ -141,7 +142,7 @@ def spawn_ambient_rays(
 
 @wp.kernel
 def add_ambient_visibility(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: CatcherIrradiance):
-    """Adds the traced visibility of each ambient shadow ray to the sum at its shadow catcher."""
+    """Per ray: adds the visibility of its ambient shadow ray to the sum at the shadow catcher that the ray hits."""
     i = start + wp.tid()
     if rays.is_active[i]:
         arrivals_inout.open[i] += visibility[i]
@@ -161,7 +162,7 @@ def darken_captured(
     adds it to the lights' images.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         ambient_rays: Number of ambient shadow rays per item; 0: ambient light is not blocked.
         scene: The scene.
         arrivals_inout: Irradiance on the catchers without and with shadows; receives their reflectance.

@@ -1,4 +1,4 @@
-"""Kernels that compute radiance before direct light, and interactions of rays with surfaces. One item is one ray."""
+"""Kernels that compute radiance without direct light, and interactions of rays with surfaces. One thread per ray."""
 
 import warp as wp
 
@@ -60,7 +60,7 @@ def untraced_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.v
 
 @wp.func
 def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Returns whether ray ``i`` gets environment radiance in this pass; rays of paths get it in a later kernel."""
+    """Returns whether this pass adds environment radiance to ray ``i``; for rays of paths a later kernel does."""
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_NOTHING
     return wave[0].traces_paths == 0 and sees_environment(i, wave)
@@ -68,7 +68,10 @@ def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[Wave
 
 @wp.func
 def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.array[WaveData]) -> wp.vec2i:
-    """Returns whether to trace the reflected ray and the refracted ray, 0 or 1 each; weak rays are not traced."""
+    """Returns whether ray ``i``'s reflected ray and refracted ray are worth tracing, 0 or 1 each.
+
+    They are not if their weight in the pixel is below `BOUNCE_WEIGHT_MIN`.
+    """
     if wave[0].may_branch == 0:
         return wp.vec2i(0, 0)
     weight = transmittance * wave[0].path_weights[i]
@@ -79,7 +82,10 @@ def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.arr
 
 @wp.func
 def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
-    """Writes for each branch of ray ``i`` (reflection, refraction) whether it continues; nothing if none may branch."""
+    """Stores whether the reflected and the refracted ray of ray ``i`` continue (``branches``, 0 or 1 each).
+
+    Does nothing in a wave whose rays may not branch.
+    """
     if wave[0].may_branch != 0:
         wave[0].branches[i] = branches[0]
         wave[0].branches[wave[0].path_weights.shape[0] + i] = branches[1]
@@ -87,7 +93,7 @@ def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
 
 @wp.func
 def store_no_lobe(i: int, wave: wp.array[WaveData]):
-    """Writes that ray ``i`` has no branch by specular lobe, if the frame has such branches."""
+    """Stores that ray ``i`` sends no ray into a specular lobe; does nothing in frames without such rays."""
     slot = 2 * wave[0].path_weights.shape[0] + i
     if wave[0].may_branch != 0 and slot < wave[0].branches.shape[0]:
         wave[0].branches[slot] = 0
@@ -140,7 +146,7 @@ def store_layers(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ):
-    """Adds up the albedo and the emission of the surfaces on a ray, and writes both to the images."""
+    """Adds up albedo and emission of the surfaces on ray ``i``, and writes both to the layers of these names."""
     albedo = surface.share * surface.albedo
     emission = wp.vec3(0.0)
     shows_captured = surface.captured_share > 0.0
@@ -250,7 +256,10 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
 
 @wp.func
 def store_media(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Multiplies a ray's weight by the transmittance of its medium, and marks meshes left without being entered."""
+    """Multiplies ray ``i``'s weight by the transmittance of its medium.
+
+    Flags a mesh that the ray leaves without having entered it.
+    """
     if wave[0].weights and scene[0].settings[0].absorbs != 0:
         share = passed_by_ray(i, scene, wave)
         wave[0].path_weights[i] = wave[0].path_weights[i] * wp.max(share)
@@ -266,7 +275,7 @@ def store_media(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData])
 
 @wp.kernel
 def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes the radiance of rays without direct light and branches; in a lit wave, also their interactions."""
+    """Per ray: writes its radiance without direct light, reflection and refraction; if lit, also its interactions."""
     i = start + wp.tid()
     store_branches(i, wp.vec2i(0, 0), wave)
     store_no_lobe(i, wave)

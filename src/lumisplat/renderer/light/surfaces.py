@@ -1,4 +1,4 @@
-"""Host pass: radiance of a wave before direct light, and its interactions with surfaces, which direct light reads."""
+"""Host pass: radiance of rays without direct light, and the interactions with surfaces that direct light reads."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Surfaces:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._unentered: DeviceArray
-        """Flag for each mesh instance: 1 if a ray left its inside without having entered. Exists only in scenes with
+        """Flag for each mesh instance: 1 if a ray left its inside without having entered. Set only in scenes with
         media."""
 
     @staticmethod
@@ -65,18 +65,18 @@ class Surfaces:
         on_paths: bool = True,
         table: str | None = None,
     ) -> RayWave:
-        """Returns a wave of rays with their radiance, without direct light and without reflected and refracted rays.
+        """Returns a wave: rays with their radiance, still without direct light and reflected and refracted rays.
 
         Args:
             scene: The device scene.
             plan: The plan of the frame.
             hits: The rays and their hits.
-            number: Number of specular bounces that the rays have behind them.
-            carried: State of the rays from earlier waves; None in the primary wave.
+            number: Number of reflections and refractions that the rays have behind them.
+            carried: State that the rays inherit from earlier ones; None for camera rays.
             may_branch: Whether smooth meshes may reflect and refract rays.
             on_paths: In path-traced frames, whether the rays belong to paths.
-            table: Name of the buffer with the struct that kernels read; None: by ``number``. Needed where two waves of
-                one number exist at once.
+            table: Name of the buffer with the struct that kernels read; None: ``wave.`` and ``number``. Needed where
+                two waves of one number exist at once.
         """
         with self._launcher.stage("shade"):
             if plan.has_media and number == 0:
@@ -137,7 +137,7 @@ class Surfaces:
         return self._buffers.struct("interactions", Interactions, 2 * count, without)
 
     def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:
-        """Returns the radiance arrays that the frame needs. Only the primary wave has arrays for layers."""
+        """Returns the radiance arrays that the frame needs; only camera rays (``number`` 0) have arrays for layers."""
         without: set[str] = set() if plan.has_shadow_catchers else {"capture_factor"}
         if number > 0 or not plan.has_receivers:
             without |= RECEIVED_FIELDS

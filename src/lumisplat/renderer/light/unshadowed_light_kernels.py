@@ -1,4 +1,4 @@
-"""Kernels that add unshadowed lights to a wave. One item is one ray, which interacts with up to two surfaces."""
+"""Kernels that add lights without shadows to rays. One thread per ray, which interacts with up to two surfaces."""
 
 import warp as wp
 
@@ -16,13 +16,16 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def is_unshadowed(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether light ``number`` casts no shadow."""
+    """Returns whether light ``number`` is added without shadows: it casts none, or ``no_shadows`` is set."""
     return no_shadows or scene[0].lights[number].casts_shadow == 0
 
 
 @wp.func
 def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the contribution of all unshadowed lights at their centres, without the environment."""
+    """Returns the light that a surface reflects from all lights without shadows, treated as points or directions.
+
+    The environment is not included.
+    """
     total = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
         if is_unshadowed(number, no_shadows, scene) and scene[0].lights[number].kind != LIGHT_ENVIRONMENT:
@@ -34,7 +37,7 @@ def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[Shadi
 def sampled_light(
     interaction: Interaction, pixel_key: wp.uint32, sample: int, no_shadows: bool, scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Returns the contribution of the unshadowed lights that are sampled at random: environment and soft lights."""
+    """Returns the light that a surface reflects from unshadowed lights sampled at random: environment, soft lights."""
     total = wp.vec3(0.0)
     draws = 1 + scene[0].settings[0].more_draws
     share = 1.0 / float(draws)
@@ -57,9 +60,9 @@ def add_hard_lights(
     scene: wp.array[ShadingScene],
     wave_inout: wp.array[WaveData],
 ):
-    """Adds all unshadowed lights at their centres, without the environment.
+    """Per ray: adds all lights without shadows, treated as points or directions; the environment is not included.
 
-    Merging this kernel with ``add_sampled_lights`` makes a deferred frame an eighth slower.
+    Merging this kernel with ``add_sampled_lights`` makes a frame with direct light only an eighth slower.
     """
     i = start + wp.tid()
     stride = wave_inout[0].interactions.exists.shape[0] // 2
@@ -76,7 +79,7 @@ def add_sampled_lights(
     scene: wp.array[ShadingScene],
     wave_inout: wp.array[WaveData],
 ):
-    """Adds the unshadowed lights that are sampled at random: the environment, and soft lights."""
+    """Per ray: adds the unshadowed lights that are sampled at random: the environment, and soft lights."""
     i = start + wp.tid()
     stride = wave_inout[0].interactions.exists.shape[0] // 2
     for slot in range(2):

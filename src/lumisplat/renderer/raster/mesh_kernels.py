@@ -48,7 +48,7 @@ def project_triangles(
     triangles_out: wp.array[Triangle],
     rects_out: wp.array[TileRect],
 ):
-    """Projects a triangle of a mesh instance to the image. One item is one triangle.
+    """Projects a triangle of a mesh instance to the image. One thread per triangle.
 
     Mesh instances are numbered after the splat instances.
     """
@@ -181,7 +181,7 @@ def tile_of_pair(tile_starts: wp.array[int], pair: int) -> int:
 
 @wp.kernel(module=PAIRS)
 def clear_nearest(start: int, nearest_out: wp.array[wp.int64]):
-    """Clears the nearest triangle of a pixel. One item is one pixel."""
+    """Clears the nearest triangle of a pixel. One thread per pixel."""
     nearest_out[start + wp.tid()] = NOTHING
 
 
@@ -195,7 +195,7 @@ def raster_pairs(
     tile_triangles: wp.array[int],
     nearest_inout: wp.array[wp.int64],
 ):
-    """Does the work of `raster_tiles` on CUDA. One item is one (tile, triangle) pair; unused pairs return at once."""
+    """Does the work of `raster_tiles` on CUDA. One thread per (tile, triangle) pair; unused pairs return at once."""
     pair = start + wp.tid()
     if pair >= tile_starts[tile_starts.shape[0] - 1]:
         return
@@ -222,7 +222,7 @@ def raster_pairs(
 
 @wp.kernel(module=PAIRS)
 def store_nearest(start: int, nearest: wp.array[wp.int64], depth_out: wp.array[float], triangle_out: wp.array[int]):
-    """Stores depth and index of the nearest triangle at a pixel. One item is one pixel."""
+    """Stores depth and index of the nearest triangle at a pixel. One thread per pixel."""
     pixel = start + wp.tid()
     key = nearest[pixel]
     if key == NOTHING:
@@ -247,7 +247,7 @@ def find_ray_hits(
     rays: RayData,
     hits_out: MeshHits,
 ):
-    """Intersects a ray with the nearest triangle of its pixel. One item is one ray."""
+    """Intersects a ray with the nearest triangle of its pixel. One thread per ray."""
     i = start + wp.tid()
     view = camera[0]
     hits_out.t[i] = rays.t_max[i]

@@ -39,7 +39,7 @@ def project_gaussians(
     keys_out: wp.array[wp.uint32],
     rects_out: wp.array[TileRect],
 ):
-    """Projects a Gaussian to the image. One item is one Gaussian of one instance of an asset.
+    """Projects a Gaussian to the image. One thread per Gaussian of one instance of an asset.
 
     The depth key of the Gaussian is the bits of a positive float, which sort as the float does.
     """
@@ -137,7 +137,7 @@ def composite_pixels(
 ):
     """Blends the Gaussians listed for a pixel's tile into the hit of the pixel's ray.
 
-    One item is tile * 256 + pixel of the tile. Surface depths are 0 until ``set_depth`` runs.
+    One thread per pixel, with index tile * 256 + pixel of the tile. Surface depths are 0 until ``set_depth`` runs.
     """
     i = start + wp.tid()
     view = camera[0]

@@ -46,7 +46,7 @@ def count_mixed(
 ):
     """Counts the splats of a mixed tile, which has splats of relit and of other sets; 0 for other tiles.
 
-    One item is one tile.
+    One thread per tile.
     """
     tile = start + wp.tid()
     begin = tile_starts[tile]
@@ -75,7 +75,7 @@ def list_mixed(
 ):
     """Lists the splats of a mixed tile, and writes copies of the splats for compositing only relit sets.
 
-    One item is one tile. Copies of splats in relit sets have the normal (1, 0, 0); other copies are black and have a
+    One thread per tile. Copies of splats in relit sets have the normal (1, 0, 0); other copies are black and have a
     normal of zero. Tiles that share a splat write equal values.
     """
     tile = start + wp.tid()
@@ -107,7 +107,7 @@ def find_relit(
     """Writes the colour, weight and surface Gaussian that relit sets contribute to a pixel's ray.
 
     Args:
-        start: First item; an item is tile * 256 + pixel of the tile.
+        start: Offset added to the thread index, which is tile * 256 + pixel of the tile.
         camera: The view.
         instances: Instances of the splats.
         splats: Splats as written by ``list_mixed``.
@@ -170,7 +170,7 @@ def write_surface_attributes(
 ):
     """Replaces a splat's colour by its depth plane, and its normal by (roughness, metallic, 1), to average them.
 
-    One item is one Gaussian. Gaussians of sets that are not relit become black and do not count.
+    One thread per Gaussian. Gaussians of sets that are not relit become black and do not count.
     """
     i = start + wp.tid()
     if not is_listed(rects[i]):
@@ -196,10 +196,10 @@ def store_means(
     sums: GaussianHits,
     hits_inout: GaussianHits,
 ):
-    """Stores a pixel's weighted means of the values that ``write_surface_attributes`` wrote. One item is one pixel.
+    """Stores a pixel's weighted means of the values that ``write_surface_attributes`` wrote. One thread per pixel.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         camera: The view.
         meshes: Meshes, which bound the surface depth.
         sums: Result of compositing the splats that ``write_surface_attributes`` wrote.

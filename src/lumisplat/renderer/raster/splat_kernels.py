@@ -75,7 +75,7 @@ def project_splats(
     keys_out: wp.array[wp.uint32],
     rects_out: wp.array[TileRect],
 ):
-    """Projects a Gaussian to an ellipse in the image. One item is one Gaussian of one instance of an asset.
+    """Projects a Gaussian to an ellipse in the image. One thread per Gaussian of one instance of an asset.
 
     The depth key of the Gaussian is the bits of a positive float, which sort as the float does.
     """
@@ -109,7 +109,7 @@ def set_pixel_depth(
 ):
     """Moves a pixel's surface depth from its Gaussian's mean to the peak of that Gaussian on the pixel's ray.
 
-    One item is one pixel.
+    One thread per pixel.
     """
     i = start + wp.tid()
     gaussian = pixels_inout.gaussian[i]
@@ -133,7 +133,7 @@ def set_hit_depth(
 ):
     """Moves the depth of a ray's surface from its Gaussian's mean to the peak of that Gaussian on the ray.
 
-    One item is one pixel; the kernel does the same for ray hits as ``set_pixel_depth`` does for pixels.
+    One thread per pixel; the kernel does the same for ray hits as ``set_pixel_depth`` does for pixels.
     """
     i = start + wp.tid()
     at = full_pixel_of_index(camera[0], i)
@@ -272,7 +272,7 @@ def composite_blocks(
         store_result(view, raster, instances, splats, meshes, pixel, x, y, for_rays, pixels_out, hits_out)
 
 
-# One item is one pixel, tile after tile: samples on CUDA, and counts of blended splats on CPUs.
+# One thread per pixel, tile after tile: samples on CUDA, and counts of blended splats on CPUs.
 
 PIXELS = wp.get_module(f"{__name__}.pixels")
 wp.set_module_options(OPTIONS, PIXELS)
@@ -297,7 +297,7 @@ def composite_pixels(
 ):
     """Blends the splats of a pixel's tile into the pixel or, if ``for_rays``, into the hit of its ray.
 
-    One item is tile * 256 + pixel of the tile.
+    One thread per pixel, with index tile * 256 + pixel of the tile.
     """
     i = start + wp.tid()
     view = camera[0]
@@ -325,7 +325,7 @@ def sample_pixels(
 ):
     """Chooses one splat for a pixel: the nearest splat of its tile whose alpha exceeds its random number.
 
-    One item is tile * 256 + pixel of the tile.
+    One thread per pixel, with index tile * 256 + pixel of the tile.
     """
     i = start + wp.tid()
     view = camera[0]

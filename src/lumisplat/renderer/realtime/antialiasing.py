@@ -33,7 +33,7 @@ class Antialiasing:
     def average(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, layers: dict[str, DeviceArray], frame: int
     ) -> None:
-        """Replaces the radiance of the camera rays, and the layers that the plan requests, by means over frames.
+        """Replaces the camera rays' radiance, and the layers that the plan requests, by means over frames.
 
         Radiance and layers are averaged with equal weights.
         """

@@ -39,7 +39,7 @@ ANTIALIASING_LEAST = 0.05
 fraction of their luminance."""
 
 FAR_AWAY = 1e6
-"""Distance, in scene units, at which the background is assumed when its motion is computed."""
+"""Distance from the eye, scene units, at which the background is assumed when its motion in the image is computed."""
 
 FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
 MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))
@@ -62,7 +62,7 @@ def store_pixels(
     pixels_out: TemporalPixels,
     shares_out: wp.array[wp.vec3],
 ):
-    """Per ray: writes colour, surface and motion of the ray's pixel, and captured weight and alpha to ``shares_out``.
+    """Per ray: writes its pixel's colour, surface and motion, and (captured weight, alpha, 0) to ``shares_out``.
 
     The third component of ``pixels_out.motion`` is the distance of the surface.
     """
@@ -162,7 +162,7 @@ def is_noise(
     motions: wp.array[wp.vec3],
     history: TemporalHistory,
 ) -> bool:
-    """Returns whether the samples of 3 x 3 still pixels differ from the pixels' means only as much as noise does."""
+    """Returns whether this frame's samples of 3 x 3 still pixels lie within noise of the pixels' means over frames."""
     means = history.color
     frames = history.frames
     changes = history.change
@@ -181,10 +181,9 @@ def is_noise(
 
 @wp.func
 def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean: wp.vec3) -> float:
-    """Returns the fraction of its history that a pixel retains: 1 if ``mean`` is in the colour range of 3 x 3 pixels.
+    """Returns the weight that a pixel's history keeps: 1 if ``mean`` is in the colour range of 3 x 3 pixels around.
 
-    If ``mean`` lies outside the range by more than a tolerance, the fraction is (tolerance / distance)^4 (soft
-    clamping).
+    If ``mean`` lies outside the range by more than a tolerance, the weight is (tolerance / distance)^4 (soft clamping).
     """
     low = colors[y * size[0] + x]
     high = low
@@ -221,8 +220,8 @@ def weight_history(
     Args:
         start: Offset added to the thread index.
         size: Width and height of the images.
-        history_weight: Factor on the length of every history; 1 unless lights or objects have changed.
-        moved_to: Current index of each instance of the previous frame, as for ``has_left``.
+        history_weight: Factor on the number of frames of every history; 1 unless lights or objects have changed.
+        moved_to: Index in this frame of each instance of the previous frame; UNMOVED (-1) if it stood still, GONE (-2).
         history: History of the previous frame.
         pixels_inout: The pixels; receive the position in the previous frame and the weight.
         history_out: History of this frame.
@@ -310,7 +309,7 @@ def blend(
 
 @wp.kernel
 def store_shares(start: int, camera: wp.array[CameraData], shares: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
-    """Per ray: writes the averaged captured weight and alpha back to the wave."""
+    """Per ray: copies captured weight and alpha, averaged over frames, from ``shares`` to the camera ray."""
     i = start + wp.tid()
     if pixel_number(i, camera) < 0:
         return

@@ -21,11 +21,13 @@ from lumisplat.device.structs.shading import LightSample, ShadingScene, WaveData
 wp.set_module_options(SHADE_OPTIONS)
 
 POINT_BRANCH = wp.constant(9)
-"""Branch of a ray's random key for choosing a point in a box around a capture."""
+"""Number by which the key of the random point in a box around a capture is derived from a ray's random key."""
 BOX_BRANCH = wp.constant(10)
-"""Branch of a ray's random key for choosing a box around a capture, and the depth within the box."""
+"""Number by which the key of the choice of a box around a capture, and of the depth in the box, is derived from a
+ray's random key."""
 RAY_BRANCH = wp.constant(11)
-"""Branch of a camera ray's random key for choosing the hits of the ray from its surface towards captures."""
+"""Number by which the key of a ray from a surface towards captures is derived from the camera ray's random key; it
+decides which Gaussians the ray hits."""
 OPAQUE = wp.constant(wp.float32(EMITTER_OPAQUE))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 
@@ -41,7 +43,7 @@ def start_captured_rays(
     light_out: PixelLight,
     rays_out: RayData,
 ):
-    """Starts a ray from one surface of a pixel towards a random point in the boxes around captures.
+    """Per camera ray: starts a ray from one surface of its pixel to a random point in the boxes around captures.
 
     Args:
         start: Offset added to the thread index.
@@ -49,7 +51,7 @@ def start_captured_rays(
             of each highlight that those rays do not cover.
         boxes: Boxes around the captures.
         scene: The scene.
-        wave: The camera rays, with numbered samples.
+        wave: The camera rays; each pixel's light sample has its number in a low-discrepancy sequence.
         slots: For each camera ray, which of its two surfaces has a light sample; -1: none.
         light_out: Reflected radiance for incoming radiance 1, over the pdf of the direction.
         rays_out: The rays; they end behind the boxes.
@@ -100,7 +102,7 @@ def end_behind_glass(
     ends_out: wp.array[float],
     is_glass_out: wp.array[int],
 ):
-    """Writes the distance of the mesh that a ray hits as the ray's end, unless the mesh is glass."""
+    """Per ray towards captures: writes the distance of the mesh that it hits as its end, unless the mesh is glass."""
     i = start + wp.tid()
     is_glass_out[i] = 0
     ends_out[i] = 0.0
@@ -116,7 +118,7 @@ def end_behind_glass(
 
 @wp.kernel
 def start_through_glass(start: int, is_glass: wp.array[int], emitted: GaussianHits, rays_inout: RayData):
-    """Deactivates rays that do not hit glass, and ends the other rays at the captures behind the glass."""
+    """Per ray towards captures: ends it at the capture behind the glass that it hits; without glass, deactivates it."""
     i = start + wp.tid()
     if is_glass[i] == 0:
         rays_inout.is_active[i] = False

@@ -20,11 +20,11 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 _EMPTY = {"motion": math.nan, "history": 0.0, "cache": 0.0}
-"""Value of pixels without data in each layer; -1 in layers that are not listed."""
+"""Value of pixels without data in each debug layer; layers that are not listed have -1."""
 
 
 class DebugLayers:
-    """Draws debug layers."""
+    """Draws the debug layers of real-time frames: motion, history, probes, cache and cache_cells."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -41,9 +41,9 @@ class DebugLayers:
         return image
 
     def motion(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
-        """Draws the motion since the previous frame, pixels, of each pixel's main surface; NaN if unknown.
+        """Draws the motion, since the previous frame and in pixels, of the surface that covers most of each pixel.
 
-        The main surface is the one that covers most of the pixel.
+        NaN: the surface is new, so its motion is unknown.
         """
         image = self.empty("motion", count)
         inputs = scene.camera, scene.motion.camera, *_kinds(surfaces), image
@@ -53,10 +53,9 @@ class DebugLayers:
     def history(
         self, scene: DeviceScene, surfaces: list[PixelSurfaces], frames: dict[int, DeviceArray], count: int
     ) -> DeviceArray:
-        """Draws the number of frames averaged into direct light at each pixel's main surface.
+        """Draws the number of frames averaged into direct light at the surface that covers most of each pixel.
 
-        The main surface is the one that covers most of the pixel. ``frames`` holds these numbers for each kind of
-        surfaces.
+        ``frames`` holds these numbers for splat surfaces (SPLATS) and mesh surfaces (MESHES).
         """
         image = self.empty("history", count)
         inputs = scene.camera, *_kinds(surfaces), frames.get(SPLATS), frames.get(MESHES), image
@@ -94,6 +93,6 @@ class DebugLayers:
 
 
 def _kinds(surfaces: list[PixelSurfaces]) -> tuple[SurfacePixels, SurfacePixels]:
-    """Returns the splat surfaces and the mesh surfaces; a kind that the scene lacks has empty arrays."""
+    """Returns the pixels' splat surfaces and mesh surfaces; those that the scene lacks have empty arrays."""
     of_kind = {each.kind: each.now for each in surfaces}
     return of_kind.get(SPLATS, SurfacePixels()), of_kind.get(MESHES, SurfacePixels())

@@ -1,4 +1,4 @@
-"""Host pass: the G-buffer, which holds the surfaces at the pixels of this frame and of the previous one."""
+"""Host pass: the G-buffer, which holds splat and mesh surfaces at the pixels of this frame and of the previous one."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 SPLATS, MESHES = 0, 1
-"""Kinds of surfaces at a pixel, SPLATS and MESHES; also the slots of a ray's two interactions."""
+"""Kinds of surfaces at a pixel: 0 Gaussians, 1 meshes. Also the index of a ray's interaction, of which it has two."""
 
 
 @dataclass(frozen=True, slots=True)
 class PixelSurfaces:
-    """Surfaces of one kind at the pixels of this frame and of the previous one."""
+    """Splat surfaces, or mesh surfaces, at the pixels of this frame and of the previous one."""
 
     kind: int
-    """Kind of the surfaces, SPLATS or MESHES."""
+    """SPLATS (0) for surfaces of Gaussians, MESHES (1) for surfaces of meshes."""
     now: SurfacePixels
     before: SurfacePixels
-    """Surfaces of the previous frame."""
+    """Surfaces at the pixels of the previous frame."""
 
 
 class GBuffer:
@@ -43,7 +43,7 @@ class GBuffer:
         self._kinds_before = ()
 
     def store(self, scene: DeviceScene, wave: RayWave, frame: int) -> list[PixelSurfaces]:
-        """Stores the surfaces that the camera rays hit; returns the pixels' surfaces for each kind in the scene."""
+        """Stores the surfaces that camera rays hit; returns the splat and the mesh surfaces, if the scene has them."""
         kinds = (SPLATS,) * (scene.gaussian_count > 0) + (MESHES,) * (scene.triangle_count > 0)
         with self._launcher.stage("gbuffer"):
             surfaces = [self._store(scene, wave, frame, kind) for kind in kinds]

@@ -66,7 +66,7 @@ class IndirectLight:
         self.probes.reset()
 
     def start_lobes(self, scene: DeviceScene, wave: RayWave, frame: int) -> tuple[LobeRays, RayData | None]:
-        """Starts rays within the highlights that camera rays hit, before later waves of rays overwrite the surfaces.
+        """Starts rays within the specular lobes of the surfaces at pixels, before later rays overwrite the surfaces.
 
         Returns:
             The struct that stores which pixels have a ray; the rays, or None if no pixel has one.
@@ -97,12 +97,12 @@ class IndirectLight:
         lobes: tuple[LobeRays, RayData | None],
         frame: int,
     ) -> list[SurfaceLight]:
-        """Computes the indirect light of a frame, for each kind of surfaces.
+        """Computes a frame's indirect light, separately on splat surfaces and on mesh surfaces.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
-            surfaces: Surfaces of the pixels, by kind.
+            surfaces: Splat surfaces and mesh surfaces of the pixels, as far as the scene has them.
             lobes: Result of `start_lobes`: rays within the highlights of the surfaces.
             frame: Number of the frame.
         """
@@ -128,10 +128,10 @@ class IndirectLight:
     def _follow_lobes(
         self, scene: DeviceScene, plan: FramePlan, lobes: LobeRays, rays: RayData | None, frame: int
     ) -> LobeRays:
-        """Finds the radiance of the rays within highlights.
+        """Traces the rays within specular lobes, and stores their radiance in ``lobes``.
 
-        Direct light at the rays' hits is sampled instead of read from the cache, whose cells would be visible in narrow
-        highlights.
+        Direct light at the rays' hits is sampled instead of read from the radiance cache, whose cells would be visible
+        in narrow highlights.
         """
         if rays is not None:
             hits = self._rays.trace(scene, plan, rays, "lobe_rays")
@@ -164,7 +164,7 @@ class IndirectLight:
         return larger
 
     def _gathered(self, scene: DeviceScene, kind: PixelSurfaces, lobes: LobeRays) -> SurfaceLight:
-        """Returns the light that surfaces of one kind reflect, from probes and from rays within their highlights."""
+        """Returns the indirect light that splat (or mesh) surfaces reflect, from probes and from rays in lobes."""
         probes = self.probes
         irradiance = probes.irradiance(kind.now)
         light = self._buffers.struct(f"indirect_light.{kind.kind}", SurfaceLight, len(irradiance))
@@ -259,7 +259,7 @@ class SecondaryRays:
         return radiance, distance
 
     def _onward(self, plan: FramePlan, count: int) -> OnwardRays:
-        """Returns the initial state of rays that smooth surfaces may reflect or transmit."""
+        """Returns the initial state, in air and weight 1, of ``count`` rays that may continue at smooth surfaces."""
         onward, get = OnwardRays(), self._buffers.get
         onward.rays = self._buffers.struct("bounced.onward", RayData, count)
         onward.goes_on = get("bounced.goes_on", wp.int32, count)
@@ -274,7 +274,10 @@ class SecondaryRays:
         return onward
 
     def _any_continues(self, onward: OnwardRays) -> bool:
-        """Returns whether any ray continues. The host waits for the answer, because most scenes need few waves."""
+        """Returns whether a smooth surface reflects or transmits any ray onwards.
+
+        The host waits for the answer, because most scenes need few further bounces.
+        """
         goes_on = device_array(onward.goes_on)
         ends = self._buffers.get("bounced.ends", wp.int32, len(goes_on))
         prefix_sum(goes_on, ends, inclusive=True)

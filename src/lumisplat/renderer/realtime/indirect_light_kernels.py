@@ -19,12 +19,12 @@ from lumisplat.device.structs.rays import RayData
 wp.set_module_options({"enable_backward": False})
 
 RAY_LIFT = 1e-4
-"""Height above a mesh from which rays start if the mesh's triangle is not stored, as a fraction of the largest
-coordinate. Without it, rounding could put the origin below the surface."""
+"""Height above a mesh at which rays from cache cells start, as a fraction of the origin's largest coordinate, so that
+rounding does not put the origin below the surface. The cache stores no triangle from which to compute the error."""
 
 LIFT = wp.constant(wp.float32(RAY_LIFT))
 GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
-"""Number mixed into the seed, so that highlights and other look-ups of probes use different random numbers."""
+"""Number mixed into the random seed of look-ups within highlights, so that it differs from that of other look-ups."""
 
 
 @wp.kernel
@@ -44,7 +44,7 @@ def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, la
 
 @wp.kernel
 def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: RayData):
-    """Per ray: starts the ray at a point of the radiance cache in a cosine-weighted direction; inactive if no point.
+    """Per ray: starts it at a point of the radiance cache in a cosine-weighted direction; inactive without a point.
 
     Gaussians within ``offset`` times the scale of the point's Gaussian do not block the ray.
     """
@@ -104,7 +104,7 @@ def radiance_of_probes(
     adaptive_of: wp.array[int],
     probe_light: ProbeLight,
 ) -> wp.vec3:
-    """Returns the radiance of the screen probes from a random direction within the highlight of a pixel's surface."""
+    """Returns the radiance that screen probes hold for a random direction within the highlight of a pixel's surface."""
     view = wp.normalize(camera[0].eye - surfaces.position[pixel])
     key = pixel_key_of(pixel, wp.bit_xor(grids[0].seed, GLOSSY_SEED))
     direction = reflected_direction(pixel, key, grids[0].frame, view, surfaces)

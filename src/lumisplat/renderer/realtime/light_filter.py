@@ -15,7 +15,7 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class LightFilter:
-    """Denoises the light at the surfaces of one kind, frame by frame.
+    """Denoises the light on splat surfaces, or on mesh surfaces, frame by frame.
 
     Args:
         launcher: Runs the kernels.
@@ -40,14 +40,14 @@ class LightFilter:
         self._has_history = False
 
     def filter(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> FilteredLight:
-        """Denoises a frame's light samples at the surfaces of this filter's kind, and returns the denoised light."""
+        """Denoises a frame's light samples on ``surfaces`` over frames and neighbouring pixels; returns the light."""
         with self._launcher.stage("accumulate"):
             history = self._accumulate(scene, surfaces, light, frame)
         with self._launcher.stage("filter"):
             return self._smooth(scene, surfaces, history)
 
     def frames(self, scene: DeviceScene, frame: int) -> DeviceArray:
-        """Returns, for each pixel, the number of frames in its mean, as float."""
+        """Returns, for each pixel, the number of frames that its mean light averages, as float."""
         return device_array(self._history(scene, frame).frames)
 
     def _accumulate(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> LightHistory:
@@ -65,7 +65,7 @@ class LightFilter:
         return now
 
     def _smooth(self, scene: DeviceScene, surfaces: PixelSurfaces, history: LightHistory) -> FilteredLight:
-        """Averages each pixel's light with that of neighbours, in passes of doubling distance."""
+        """Averages each pixel's light with neighbours', in passes whose pixel distance doubles (a-trous wavelets)."""
         light = FilteredLight()
         light.diffuse, light.glossy = history.diffuse, history.glossy
         light.variance = self._buffers.get("filter.variance", wp.vec2, len(history.frames))

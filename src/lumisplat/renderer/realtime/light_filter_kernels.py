@@ -32,25 +32,27 @@ history is reused; in pixel widths at that distance. The limit keeps contact sha
 object that stands on the surface."""
 
 CHANGE_SIGMAS = 3.0
-"""Number of standard deviations beyond which samples around a pixel count as a change of light. Noise alone exceeds it
-in one of some hundred pixels and frames."""
+"""Number of standard deviations by which the samples around a pixel must differ from their means to count as a change
+of light instead of noise."""
 
 CHANGE_LEAST = 0.02
-"""Fraction of the light below which a difference never counts as a change of light."""
+"""Relative difference of light below which the samples around a pixel never count as a change of light."""
 
 MOMENT_FRAMES = 8
-"""Smallest number of frames over which moments of the luminance, and hence its variance, are averaged."""
+"""Number of frames up to which the luminance's moments, and hence its variance, are true means; later frames have the
+weight 1/8 each, so that old frames fade."""
 
 LUMINANCE_SIGMAS = 4.0
-"""Difference in luminance, in standard deviations of the noise, that scales a neighbour's weight, as in SVGF."""
+"""Scale of the weight by luminance difference, as in SVGF: a neighbour's weight is a falloff of the difference divided
+by this many standard deviations of the noise."""
 
 YOUNG_FRAMES = 3.5
 """Number of frames below which a pixel's variance is estimated from neighbouring pixels. SVGF uses 4; numbers of
 frames are whole up to rounding, so 3.5 is safe."""
 
 WEIGHT_LEAST = 1e-8
-"""Smallest weight by position and normal with which a neighbour counts, so that surfaces at an angle give no light to
-pixels without samples."""
+"""Product of a neighbour's position and normal weights below which the neighbour is ignored, so that surfaces at an
+angle give no light to pixels without samples."""
 
 PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
 CHANGED_SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
@@ -64,7 +66,7 @@ TINY = wp.constant(wp.float32(1e-8))
 
 @struct
 class PixelHistory:
-    """Mean light of one pixel over earlier frames, an element of `LightHistory`."""
+    """Mean light of one pixel over earlier frames: the values of one pixel in `LightHistory`."""
 
     frames: float
     diffuse: wp.vec3
@@ -77,24 +79,25 @@ class LightChange:
     """Statistics of how the light samples of neighbouring pixels differ from the pixels' means over earlier frames."""
 
     sampled: float
-    """Sum of the luminances of the samples."""
+    """Sum over the 5 x 5 pixels around of the luminance of this frame's light samples."""
     expected: float
-    """Sum of the luminances of the means over earlier frames."""
+    """Sum over the 5 x 5 pixels around of the luminance of the mean light over earlier frames."""
     variance: float
-    """Variance of ``sampled``, the sum of the variances of the samples."""
+    """Variance of ``sampled``: the sum of the variances that the pixels' light samples had in earlier frames."""
     brighter: float
-    """Number of pixels whose sample is brighter than their mean over earlier frames."""
+    """Number of the 5 x 5 pixels around whose sample is brighter than their mean over earlier frames."""
     count: float
-    """Number of pixels in the sums."""
+    """Number of the 5 x 5 pixels around that ``sampled``, ``expected`` and ``variance`` sum over."""
     lowest: float
-    """Luminance of the darkest sample, including samples of pixels with few frames; inf without samples."""
+    """Luminance of the darkest light sample of the 5 x 5 pixels around, also of pixels with a short history; inf: no
+    sample."""
     highest: float
-    """Luminance of the brightest sample, including samples of pixels with few frames."""
+    """Luminance of the brightest light sample of the 5 x 5 pixels around, also of pixels with a short history."""
 
 
 @wp.func
 def with_tap(history: PixelHistory, weight: float, pixel: int, image: LightHistory) -> PixelHistory:
-    """Adds the history of pixel ``pixel`` of ``image``, times ``weight``, to a history."""
+    """Returns ``history`` plus ``weight`` times the history of pixel ``pixel`` of ``image``."""
     history.frames += weight * image.frames[pixel]
     history.diffuse += weight * image.diffuse[pixel]
     history.glossy += weight * image.glossy[pixel]
@@ -177,7 +180,7 @@ def history_of(
 
 @wp.func
 def with_sample(history: PixelHistory, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float) -> PixelHistory:
-    """Adds the sample of one more frame to a history."""
+    """Returns a history with one more frame's diffuse and glossy light; after ``frames_max`` frames, old ones fade."""
     count = history.frames + 1.0
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
     moments = wp.vec4(bright[0], bright[0] * bright[0], bright[1], bright[1] * bright[1])
@@ -211,7 +214,10 @@ def reproject(
 def with_pixel(
     change: LightChange, is_old: bool, sampled: float, expected: float, mean: float, square: float
 ) -> LightChange:
-    """Adds one more pixel to the statistics; with few frames (not ``is_old``) it only widens the luminance range."""
+    """Adds a neighbouring pixel's light sample to the statistics of a change of light.
+
+    Pixels with a short history (not ``is_old``) only widen the range of luminances.
+    """
     change.lowest = wp.min(change.lowest, sampled)
     change.highest = wp.max(change.highest, sampled)
     if not is_old:
@@ -226,13 +232,13 @@ def with_pixel(
 
 @wp.func
 def retained_share(change: LightChange, shared: float) -> float:
-    """Returns the fraction of its history that a pixel retains: 1 unless the light around the pixel has changed.
+    """Returns the factor on the length of a pixel's history: 1 unless the light around the pixel has changed.
 
     Light has become darker if the sum of the samples is lower than noise explains. Light has become brighter if the sum
     is higher than noise explains and most samples are brighter; noise alone may make a few samples far brighter.
 
     Args:
-        change: Statistics of the pixels around.
+        change: Statistics of the 5 x 5 pixels around.
         shared: Number of pixels that share each sample, and therefore its noise.
     """
     difference = change.sampled - change.expected
@@ -248,9 +254,10 @@ def retained_share(change: LightChange, shared: float) -> float:
 
 @wp.func
 def share_inside(change: LightChange, held: float) -> float:
-    """Returns the fraction of its history that a pixel retains when objects move: 1 in the range of nearby samples.
+    """Returns the factor on the length of a pixel's history after objects moved: 1 if it is in the samples' range.
 
-    ``held`` is the luminance of the pixel's history.
+    ``held`` is the luminance of the history. Outside the range of the 5 x 5 samples around by more than the fraction
+    `CHANGE_LEAST`, the factor is (tolerance / distance)^4.
     """
     outside = wp.max(change.lowest - held, held - change.highest)
     tolerated = CHANGED_LEAST * held
@@ -427,7 +434,10 @@ def luminance_weight(difference: float, variance: float, other: float) -> float:
 
 @wp.func
 def normal_weight(cosine: float, extent: float) -> float:
-    """Returns a neighbour's weight: the cosine between the two normals to the power of 8 (Gaussians) or 64 (meshes)."""
+    """Returns a neighbour's weight: the cosine between both normals to the power of 8 (Gaussians) or 64 (meshes).
+
+    ``extent`` is the Gaussian's size; 0 for meshes.
+    """
     power = wp.max(cosine, 0.0)
     power *= power
     power *= power

@@ -1,4 +1,7 @@
-"""Host pass: with many lights, chooses a few lights for each grid cell (docs/method/realtime.md#light-grid)."""
+"""Host pass: with many lights, chooses a few lights for each cell of a grid in world space.
+
+The method is in docs/method/realtime.md#light-grid.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +29,14 @@ class LightGrids:
         return [kernels]
 
     def is_needed(self, scene: DeviceScene) -> bool:
-        """Returns whether the scene has more lights than each surface chooses from; otherwise grids are empty."""
+        """Returns whether the scene has more than `GRID_LIGHTS` lights; with fewer, surfaces sample all of them."""
         return scene.lights.choice_count > GRID_LIGHTS
 
     def of_wave(self, scene: DeviceScene, wave: RayWave) -> LightGrid:
-        """Chooses lights for the grid cells that contain a wave's surfaces. The next call overwrites the result."""
+        """Chooses lights for the grid cells of the surfaces that a wave's rays hit; empty if `is_needed` is False.
+
+        The next call overwrites the result.
+        """
         grid = LightGrid()
         if not self.is_needed(scene):
             return grid
@@ -48,7 +54,7 @@ class LightGrids:
         return grid
 
     def _sorted(self, scene: DeviceScene, wave: RayWave) -> tuple[DeviceArray, DeviceArray]:
-        """Returns the keys of the surfaces' cells, ascending, and for each key the count of distinct cells up to it."""
+        """Returns the sorted grid cell keys of all surfaces, and for each key the number of distinct keys up to it."""
         count, run = wave.count, self._launcher.run_banded
         keys, order = self._get("keys", wp.int64, 2 * count), self._order(count)
         run(kernels.find_cells, count, scene.camera, wave.data, keys, order)

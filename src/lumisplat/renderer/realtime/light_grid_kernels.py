@@ -39,7 +39,7 @@ def find_cells(
     keys_out: wp.array[wp.int64],
     order_out: wp.array[int],
 ):
-    """Per ray: writes the key of the cell that contains the surface with the ray's light sample."""
+    """Per ray: writes the key of the grid cell of the surface for which the ray's pixel samples a light."""
     i = start + wp.tid()
     order_out[i] = i
     keys_out[i] = NO_CELL
@@ -76,7 +76,7 @@ def list_cells(
     cell_of_out: wp.array[int],
     cells_out: wp.array[wp.int64],
 ):
-    """Per ray, in order of keys: writes the number of the ray's cell. A cell's first ray also writes the cell's key.
+    """Per ray, in order of keys: writes the index of the ray's cell. A cell's first ray also writes the cell's key.
 
     Surfaces in cells beyond the first ``cells_max`` choose from all lights.
     """
@@ -101,7 +101,7 @@ def weight_of(number: int, cell: GridCell, scene: wp.array[ShadingScene]) -> flo
 
 @wp.func
 def largest_rank(ranks: wp.array[float], first: int) -> int:
-    """Returns the index of the light with the largest rank among the lights stored for a cell."""
+    """Returns the index of the light with the largest rank (random number over weight) among a cell's stored lights."""
     largest = first
     for slot in range(1, SLOTS):
         if ranks[first + slot] > ranks[largest]:
@@ -113,9 +113,9 @@ def largest_rank(ranks: wp.array[float], first: int) -> int:
 def choose_lights(
     start: int, cells: wp.array[wp.int64], ends: wp.array[int], scene: wp.array[ShadingScene], grid_out: LightGrid
 ):
-    """Per cell: stores the lights of smallest rank. A rank is an exponential random number over the light's weight.
+    """Per cell: samples lights without replacement: those with the smallest exponential random number over weight.
 
-    From the largest stored rank follows the probability with which each of the other stored lights is chosen.
+    The largest stored quotient gives the probability with which each other stored light was chosen.
     """
     c = start + wp.tid()
     if c >= ends[ends.shape[0] - 1]:

@@ -19,7 +19,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def jittered_point(j: int, ray: int, width: float, interaction: Interaction, wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns a random point within ``width`` of an interaction, in its plane; over frames this hides cell edges."""
+    """Returns a random point within ``width`` of interaction ``j``, in the surface's plane, to hide cell edges."""
     key = branch_key(wave[0].rays.sample_key[ray], CELL_BRANCH + j // wave[0].rays.is_active.shape[0])
     u = sobol_2d(key, 0)
     return interaction.position + (width * wp.sqrt(u[0])) * around(interaction.normal, 0.0, 1.0, u[1])
@@ -126,7 +126,7 @@ def sample_light_of_cells(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Per ray: samples the light in ``slot`` of the surface's grid cell, and starts the shadow ray.
+    """Per ray: samples light number ``slot`` of those stored for its surface's grid cell, and starts the shadow ray.
 
     The contribution is divided by the light's probability. Surfaces that choose from all lights have one sample, in
     slot 0.

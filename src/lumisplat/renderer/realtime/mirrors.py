@@ -69,7 +69,7 @@ class Mirrors:
         return modules
 
     def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
-        """Adds reflections and refractions to the camera rays, which may branch.
+        """Adds the radiance of reflections and refractions to the camera rays, ``first``.
 
         Returns:
             The added radiance alone, linear, one vec3 for each ray.
@@ -85,7 +85,7 @@ class Mirrors:
         return added
 
     def _waves(self, scene: DeviceScene, plan: FramePlan, first: RayWave) -> list[RayWave]:
-        """Returns the wave of camera rays, and the waves of reflected and refracted rays."""
+        """Returns the camera rays, then the reflected and refracted rays after each bounce."""
         waves = [first]
         for number in range(1, plan.max_bounces + 1):
             self._specular.number(waves[-1])
@@ -104,7 +104,7 @@ class Mirrors:
         return waves
 
     def _add_lights(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds direct light: from all lights one by one or, with many lights, from those in the light grid's cells."""
+        """Adds direct light to rays: from all lights one by one or, with many lights, from those in the light grid."""
         if self._grids.is_needed(scene) and not plan.has_shadow_catchers:
             grid = self._grids.of_wave(scene, wave)
             for slot in range(GRID_LIGHTS + 1):

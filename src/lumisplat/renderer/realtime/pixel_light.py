@@ -60,14 +60,17 @@ class PixelLights:
     def sample(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[PixelSurfaces], frame: int
     ) -> list[SurfaceLight]:
-        """Samples a light for one surface of each pixel that has a sample in this frame; returns samples by kind.
+        """Samples a light for one surface of each pixel that has a sample in this frame.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
             wave: The camera rays.
-            surfaces: Surfaces of the pixels.
+            surfaces: Splat surfaces and mesh surfaces of the pixels, as far as the scene has them.
             frame: Number of the frame.
+
+        Returns:
+            Samples on each of ``surfaces``.
         """
         count = wave.count
         interval = self._interval
@@ -88,7 +91,10 @@ class PixelLights:
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
     def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: int) -> None:
-        """Darkens shadow catchers where lights are blocked; then deletes all interactions that are not on catchers."""
+        """Darkens shadow catchers where lights are blocked.
+
+        All interactions that are not on shadow catchers are deleted.
+        """
         self._launcher.run_banded(pixel_light_kernels.select_shadow_catchers, 2 * wave.count, wave.data)
         self._direct_light.begin_sample(sample)
         self._direct_light.add(scene, plan, wave)
@@ -101,12 +107,12 @@ class PixelLights:
         light: FilteredLight,
         layers: tuple[DeviceArray, DeviceArray],
     ) -> None:
-        """Adds the filtered light at surfaces of one kind to the camera rays, and to two layers.
+        """Adds the filtered light on splat surfaces, or on mesh surfaces, to the camera rays and to two layers.
 
         Args:
             scene: The scene on the device.
             wave: The camera rays.
-            kind: The surfaces of one kind.
+            kind: The splat surfaces or the mesh surfaces.
             light: Filtered light that these surfaces reflect.
             layers: Layer of diffuse light and layer of glossy light, one element for each ray.
         """

@@ -16,9 +16,7 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 ALBEDO_MIN = 1e-3
-"""Smallest diffuse albedo by which reflected light is divided to get irradiance; darker surfaces show no diffuse
-light.
-"""
+"""Lower bound of the albedo by which reflected diffuse light is divided to get irradiance, which is filtered."""
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -27,9 +25,9 @@ LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
 
 @wp.kernel
 def number_samples(start: int, interval: int, frame: int, camera: wp.array[CameraData], wave_inout: wp.array[WaveData]):
-    """Per ray: numbers the light sample of the ray's pixel, if the pixel has one in this frame.
+    """Per ray: gives its pixel's light sample the next index of a low-discrepancy sequence, if it has one this frame.
 
-    Numbers have no gaps, as low-discrepancy sequences require.
+    The indices have no gaps.
     """
     i = start + wp.tid()
     at = pixel_of_ray(camera[0].width, i)
@@ -57,10 +55,10 @@ def sample_lights(
         no_shadows: Whether light passes through everything.
         interval: Number of frames from one sample of a pixel to the next, 1 or 2.
         frame: Number of the frame.
-        grid: Light grid of the wave.
+        grid: Light grid of the camera rays' surfaces.
         camera: Camera of the frame.
         scene: The scene.
-        wave: The camera rays, with numbered samples.
+        wave: The camera rays, after `number_samples`.
         light_out: Unshadowed samples.
         rays_out: Shadow rays.
     """
@@ -98,7 +96,10 @@ def store_light(
     albedo: wp.array[wp.vec3],
     light_out: SurfaceLight,
 ):
-    """Per ray: writes the shadowed light sample, divided by the albedo, if it is for a surface of kind ``slot``."""
+    """Per ray: writes the shadowed light sample, its diffuse part divided by the albedo.
+
+    Only samples on splat surfaces (``slot`` 0) or only those on mesh surfaces (1) are written.
+    """
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -135,7 +136,7 @@ def add_surface_light(
     diffuse_inout: wp.array[wp.vec3],
     glossy_inout: wp.array[wp.vec3],
 ):
-    """Per ray: adds the light at its pixel's surface of one kind to the ray's radiance, and to two layers."""
+    """Per ray: adds the filtered light on its pixel's splat (or mesh) surface to its radiance and to two layers."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

@@ -34,8 +34,8 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 BOUNCES_PER_RAY = 4
-"""Number of times per frame that each cell gathers radiance along its rays. Each time, the cells hit by these rays
-hold one more bounce of light; a look-up costs much less than a ray."""
+"""Number of times per frame that radiance is passed from cell to cell along the same rays. Each time, the cells hold
+one more bounce of light, and a look-up costs much less than a ray."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -48,8 +48,8 @@ _STAGE = "cache"
 class RadianceCache:
     """Cells in world space that store the mean radiance that surfaces in them reflect.
 
-    A tile is a square of 8 x 8 cells that are stored together. Frame numbers never decrease. Array sizes depend on the
-    settings and the samples of a frame; nothing grows with the number of frames.
+    A tile is a square of 8 x 8 cells that are stored together in a slot of the arrays. Frame numbers never decrease.
+    Array sizes depend on the settings and the samples of a frame; nothing grows with the number of frames.
 
     Args:
         launcher: Runs the kernels.
@@ -65,7 +65,7 @@ class RadianceCache:
         self._grid.history, self._grid.samples_min = float(history), float(min(config.samples_min, history))
         self._grid.bounce_history = float(config.bounce_history)
         self.tiles = _allocated_tiles(buffers, config.tiles)
-        """Tiles in use; the arrays have room for as many tiles as the settings allow."""
+        """Tiles (8 x 8 cells each) in use; the arrays have room for as many tiles as the settings allow."""
         self._has_warned = False
 
     @staticmethod
@@ -178,7 +178,7 @@ class RadianceCache:
         self._warn_of_overflow()
 
     def _sorted(self, samples: CacheSamples, count: int) -> SortedSamples:
-        """Sorts samples by tile, cell and index, with stable sorts by cell, then by tile."""
+        """Sorts samples by tile, then by cell in the tile, then by index."""
         run, get = self._launcher.run_banded, self._get
         keys, cells = get("keys", wp.int64, count), get("cells", wp.int32, count)
         sort_cells = get("sort_cells", wp.int32, 2 * count)
@@ -212,7 +212,10 @@ class RadianceCache:
             self._launcher.run(kernels.count_merged_tiles, 1, tiles)
 
     def _compact(self, stays: DeviceArray, *, is_early: bool) -> None:
-        """Frees the slots of tiles that are not marked in ``stays``."""
+        """Evicts the tiles that are not marked in ``stays``.
+
+        ``is_early``: tiles are evicted because the cache is full, not because they are unused; the kernel counts them.
+        """
         ends = self._per_tile("ends")
         prefix_sum(stays, ends, inclusive=True)
         keys, slots = self._spare_lists()
@@ -229,7 +232,7 @@ class RadianceCache:
         return radiance
 
     def _ranks(self, key_tiles: Kernel) -> DeviceArray:
-        """Ranks the tiles by a number that kernel ``key_tiles`` writes for each tile; equal tiles by their key."""
+        """Returns the tiles sorted by a number that kernel ``key_tiles`` writes for each; equal numbers by tile key."""
         count = self._config.tiles
         ages, ranks = (self._get(name, wp.int32, 2 * count) for name in ("ages", "ranks"))
         self._launcher.run_banded(key_tiles, count, self.tiles, ages, ranks)

@@ -59,7 +59,7 @@ def find_cells(
     sort_cells_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Per sample: writes the sample's tile and cell; "no tile" if the sample is not finite."""
+    """Per sample: writes the key of its tile (8 x 8 cells) and its cell; "no tile" if the sample is not finite."""
     i = start + wp.tid()
     keys_out[i] = NO_TILE
     cells_out[i] = 0
@@ -93,7 +93,7 @@ def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.v
 def add_samples(
     start: int, frame: int, grid: CacheGrid, samples: CacheSamples, sorted_samples: SortedSamples, tiles: CacheTiles
 ):
-    """Adds each cell's samples to the cell's mean, and stores one of them at random as the origin of its bounce ray."""
+    """Per cell: adds its samples to the cell's mean, and stores a random one as the origin of its bounce ray."""
     i = start + wp.tid()
     if not is_first_of_cell(sorted_samples, i):
         return
@@ -227,7 +227,7 @@ def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: Cach
 
 @wp.kernel
 def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], ranks_out: wp.array[int]):
-    """Writes the frame of each tile's last bounce rays, a sort key that puts the longest wait first."""
+    """Per tile: writes the frame in which its cells last sent rays, a sort key that puts the longest wait first."""
     rank = start + wp.tid()
     ranks_out[rank] = rank
     ages_out[rank] = AGE_LAST
@@ -237,7 +237,7 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
 
 @wp.kernel
 def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: wp.array[int], far_out: wp.array[int]):
-    """Writes the number of filled cells of each tile in rank order, separately for tiles of fine and coarse cells."""
+    """Writes the number of filled cells of each tile, tiles sorted as in ``ranks``: fine and coarse ones separately."""
     i = start + wp.tid()
     near_out[i] = 0
     far_out[i] = 0
@@ -260,7 +260,7 @@ def near_rays(budget: int, near: int, far: int) -> int:
 
 @wp.func
 def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
-    """Returns the rank of the tile where ``ray`` starts, if each filled cell sends ``rays`` rays.
+    """Returns the rank (index in sort order) of the tile where ``ray`` starts; each filled cell sends ``rays`` rays.
 
     The result is -1 for rays after those of the last whole tile within ``budget`` rays. ``ends`` is the running sum
     over the ranks of the number of filled cells.
@@ -439,7 +439,10 @@ def key_tiles_by_use(start: int, tiles: CacheTiles, ages_out: wp.array[int], ran
 
 @wp.kernel
 def mark_all_but_excess(start: int, frame: int, tiles: CacheTiles, ranks: wp.array[int], stays_out: wp.array[int]):
-    """Marks the tiles that remain when new tiles need space. Tiles used in this frame always remain."""
+    """Marks the tiles that remain when new tiles need space: all except those unused for longest.
+
+    Tiles used in this frame always remain.
+    """
     i = start + wp.tid()
     rank = ranks[i]
     stays = int(rank < tiles.counts[COUNT_LIVE])
@@ -479,7 +482,10 @@ def compact_tiles(
 
 @wp.kernel
 def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], tiles: CacheTiles):
-    """Counts the tiles that remained, and the new tiles for which there is space. Runs as one thread."""
+    """Counts the tiles that remain after others were evicted, and the new tiles that fit. Runs as one thread.
+
+    ``is_early``: tiles were evicted because the cache was full.
+    """
     remaining = ends[ends.shape[0] - 1]
     if is_early:
         added = wp.min(tiles.counts[COUNT_NEW], grid.tiles - remaining)
@@ -510,7 +516,7 @@ def merge_tiles(
     keys_out: wp.array[wp.int64],
     slots_out: wp.array[int],
 ):
-    """Merges the new keys into the sorted keys: each key moves by the number of smaller keys in the other list."""
+    """Merges new tiles' keys into the sorted keys: each key moves by the number of smaller keys in the other list."""
     rank = start + wp.tid()
     live = tiles.counts[COUNT_LIVE]
     new = tiles.counts[COUNT_NEW]

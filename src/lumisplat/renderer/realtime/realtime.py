@@ -85,7 +85,7 @@ class RealtimeIntegrator:
         self._size = None
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the wave of camera rays with their radiance.
+        """Returns the camera rays with their radiance, as a wave (all rays before the first bounce).
 
         Args:
             scene: The scene on the device, synced.

@@ -1,6 +1,6 @@
 """Kernels of screen probes: they place one probe per tile plus adaptive probes, and gather light at probes.
 
-The method is in docs/method/realtime.md#screen-probes. Each array element has one writer.
+A tile is a square of pixels. The method is in docs/method/realtime.md#screen-probes. Each array element has one writer.
 """
 
 import warp as wp
@@ -37,8 +37,8 @@ from lumisplat.device.structs.rays import RayData
 wp.set_module_options({"enable_backward": False})
 
 PROBE_STAYS_PX = 2.0
-"""Largest distance in pixels between a probe and a pixel of its tile that shows the probe's surface, at which the
-probe does not move."""
+"""Distance in the image, pixels, up to which a probe keeps its position in the next frame: from the probe to the pixel
+in its tile that now shows its surface."""
 
 STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 
@@ -68,9 +68,10 @@ def copy_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
 def is_as_before(
     pixel: int, source: int, grid: ProbeGrid, camera: CameraData, surfaces: SurfacePixels, before: ProbeData
 ) -> bool:
-    """Returns whether probe ``source`` of the previous frame may stay where it is, because its surface is still there.
+    """Returns whether a probe may stay where probe ``source`` was in the previous frame, still and near ``pixel``.
 
-    A probe that followed the jitter of samples would lose the radiance of near surfaces.
+    The surface must not have moved, and the old position must be within `PROBE_STAYS_PX` of the pixel. A probe that
+    followed the jitter of samples would lose the radiance of near surfaces.
     """
     if not wp.length(surfaces.previous[pixel] - surfaces.position[pixel]) == 0.0:  # NaN: the surface is new
         return False
@@ -146,7 +147,7 @@ def find_needs(
     keys_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Per tile: counts the pixels that no probe covers, and writes a sort key that puts the largest count first."""
+    """Per tile: counts the pixels for which no probe is near enough, and writes a sort key, largest count first."""
     tile = start + wp.tid()
     place = choose_pixel_among(
         SEARCH_ROWS, tile, True, grids[0], cameras[0], cameras_before[0], surfaces, probes, before, adaptive_before
@@ -170,7 +171,7 @@ def place_adaptive(
     adaptive_of_out: wp.array[int],
     probes_out: ProbeData,
 ):
-    """Per tile, in sorted order: places an adaptive probe if the tile needs one and not all are used."""
+    """Per tile, in sorted order: places an adaptive probe if pixels of the tile need one and there are free probes."""
     rank = start + wp.tid()
     tile = order[rank]
     adaptive_of_out[tile] = -1
@@ -191,9 +192,9 @@ def carry_cells(
     cells_before: ProbeCells,
     cells_out: ProbeCells,
 ):
-    """Per probe: takes over the cells of its source, a probe of the previous frame, reprojected to the new position.
+    """Per probe: copies the cells (directions) of its predecessor in the previous frame, reprojected to its position.
 
-    A cell whose hit is nearer than the distance that the probe has moved keeps its direction.
+    A cell whose hit is nearer than the probe has moved keeps its direction.
     """
     i = start + wp.tid()
     side = grids[0].cells
@@ -240,12 +241,12 @@ def carry_cells(
 NORMALS = wp.constant(PROBE_NORMALS)
 CHUNK = wp.constant(MEANS_CHUNK)
 AROUND = wp.constant(2)
-"""Distance in pixels to each side from which pixels without light of probes are filled."""
+"""Radius in pixels of the square whose mean irradiance a pixel without light from probes gets."""
 JITTER_X = wp.constant(wp.uint32(0))
-"""Dimensions of the random numbers by which a pixel's look-up of probes is jittered."""
+"""Dimensions of the random numbers by which the position is jittered at which a pixel looks up probes."""
 JITTER_Y = wp.constant(wp.uint32(1))
 LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
-"""Number mixed into the seed, so that look-ups and rays of probes use different random numbers."""
+"""Number mixed into the random seed of pixels' look-ups, so that it differs from that of the probes' rays."""
 
 
 @wp.kernel
@@ -323,7 +324,7 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """Per probe cell: averages radiance over the probe, the tile's other probe, and probes of four adjacent tiles."""
+    """Per probe cell (direction): averages radiance over the probe, its tile's other probe, and those of four tiles."""
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells
@@ -448,7 +449,7 @@ def tile_means(
     is_known: wp.array[int],
     means_out: wp.array[wp.vec4],
 ):
-    """Per tile: sums the irradiance of the pixels whose irradiance is known (``is_known``), and counts these pixels."""
+    """Per tile: writes (sum of irradiance, count) over its pixels whose irradiance is known (``is_known``)."""
     tile = start + wp.tid()
     grid = grids[0]
     total = wp.vec4(0.0)
@@ -465,7 +466,7 @@ def tile_means(
 
 @wp.kernel
 def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4]):
-    """Per chunk: sums the output of `tile_means` over a chunk (range) of tiles."""
+    """Per chunk (range of tiles): adds up the sums and counts of irradiance that `tile_means` wrote."""
     chunk = start + wp.tid()
     total = wp.vec4(0.0)
     for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, means.shape[0])):
@@ -475,7 +476,7 @@ def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4])
 
 @wp.func
 def known_around(x: int, y: int, grid: ProbeGrid, irradiance: wp.array[wp.vec3], is_known: wp.array[int]) -> wp.vec4:
-    """Sums the irradiance of the nearby pixels whose irradiance is known, and counts these pixels."""
+    """Returns (sum of irradiance, count) over the 5 x 5 pixels around whose irradiance is known."""
     total = wp.vec4(0.0)
     for v in range(wp.max(y - AROUND, 0), wp.min(y + AROUND + 1, grid.height)):
         for u in range(wp.max(x - AROUND, 0), wp.min(x + AROUND + 1, grid.width)):
@@ -488,7 +489,7 @@ def known_around(x: int, y: int, grid: ProbeGrid, irradiance: wp.array[wp.vec3],
 
 @wp.func
 def tiles_around(x: int, y: int, grid: ProbeGrid, means: wp.array[wp.vec4]) -> wp.vec4:
-    """Sums ``means`` over the tile of a pixel and the eight adjacent tiles."""
+    """Returns (sum of irradiance, count) over a pixel's tile and the eight adjacent tiles, from `tile_means`."""
     total = wp.vec4(0.0)
     for k in range(9):
         tile = tile_of(grid, x // grid.tile + k % 3 - 1, y // grid.tile + k // 3 - 1)
@@ -508,7 +509,7 @@ def fill_pixels(
     mean: wp.array[wp.vec4],
     irradiance_out: wp.array[wp.vec3],
 ):
-    """Per pixel: writes the irradiance; if no probe around has light, the mean of the nearest pixels with light."""
+    """Per pixel: writes the irradiance; if no probe nearby has light, the mean of the nearest pixels with light."""
     pixel = start + wp.tid()
     irradiance_out[pixel] = irradiance[pixel]
     if is_known[pixel] != 0 or not surfaces.share[pixel] > 0.0:

@@ -34,7 +34,7 @@ class ScreenProbes:
         buffers: Holds the arrays.
         config: Settings.
         seed: Seed of random numbers.
-        offset: Number of scales of a probe's Gaussian within which Gaussians do not block the probe's rays.
+        offset: Distance up to which Gaussians do not block a probe's rays, in scales of the Gaussian that it lies on.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class ScreenProbes:
         return self._buffers.get(name, wp.int32, 2 * count)
 
     def _write_grid(self, frame: int) -> None:
-        """Writes the layout of the probes to the device."""
+        """Writes the layout of the probes for frame ``frame`` to the device."""
         assert self._size is not None, "call place before rays"
         grid = ProbeGrid()
         grid.width, grid.height = self._size

@@ -34,7 +34,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the linear radiance emitted along ray ``i``, without meshes that are sampled as lights."""
+    """Returns the linear radiance emitted along ray ``i``, except by meshes that surfaces sample as lights."""
     radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     radiance *= scene[0].settings[0].capture_gain
     radiance += wave[0].radiance.light[i]
@@ -46,7 +46,7 @@ def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 
 @wp.func
 def matte(interaction: Interaction) -> Interaction:
-    """Replaces the BSDF of an interaction by a diffuse one, whose albedo is all light reflected and transmitted."""
+    """Returns an interaction with a diffuse BSDF whose albedo is all light that the original reflects and transmits."""
     albedo = matte_albedo(interaction.bsdf, wp.max(wp.dot(interaction.normal, interaction.wo), 0.0))
     interaction.bsdf = Bsdf()
     interaction.bsdf.model = BSDF_SIMPLE
@@ -96,14 +96,14 @@ def shade_hits(
     Args:
         start: Offset added to the thread index.
         no_shadows: Whether light passes through everything.
-        grid: Light grid of the wave.
+        grid: Light grid of the surfaces that the rays hit.
         camera: Camera of the frame.
         scene: The scene.
-        wave: Wave of the rays.
+        wave: The rays and their hits.
         samples_out: The surfaces, without reflected radiance.
         bounced_out: Radiance of the rays, without the light that the surfaces reflect.
         rays_out: Shadow rays.
-        onward_inout: Rays that continue at smooth surfaces; from the second wave on, these are the wave's rays.
+        onward_inout: Rays that continue at smooth surfaces; from the second bounce on, these are the rays themselves.
     """
     i = start + wp.tid()
     follows = onward_inout.length_before.shape[0] > 0
@@ -189,12 +189,13 @@ def add_reflected(
 
 
 CHOICE_BRANCH = wp.constant((1 << 20) + 3)
-"""Branch of a ray's random key for choosing the surface that sends a ray within its highlight."""
+"""Number by which the key of the choice of a surface that sends a ray within its highlight is derived from a ray's
+random key."""
 
 
 @wp.func
 def traced_share(j: int, wave: wp.array[WaveData]) -> float:
-    """Returns the fraction of light that the highlight of interaction ``j`` reflects; 0 if it is too wide for rays."""
+    """Returns the albedo of the highlight of interaction ``j``; 0 if the highlight is too wide for rays to follow."""
     interaction = interaction_of(j, wave)
     if highlight_width(interaction.bsdf) >= ALPHA_TO:
         return 0.0
@@ -243,7 +244,7 @@ def start_lobes(
     lobes_inout: LobeRays,
     rays_out: RayData,
 ):
-    """Per 2 x 2 pixels: starts the ray within a highlight; ``ends`` is the running count of rays.
+    """Per 2 x 2 pixels: starts the ray within a highlight, if the square sends one; ``ends`` is a prefix sum of rays.
 
     All rays must be inactive before.
     """

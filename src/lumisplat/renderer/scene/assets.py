@@ -114,9 +114,7 @@ def upload_attributes(gaussians: Gaussians, data: GaussianData, device: str) -> 
 
 
 def are_alike(one: Gaussians, other: Gaussians) -> bool:
-    """Returns whether two sets' arrays are equal in kind and size: attributes, numbers of Gaussians and SH
-    coefficients.
-    """
+    """Returns whether two sets have the same attributes, and equal numbers of Gaussians and SH coefficients."""
     names = ("normals", "albedo", "roughness", "metallic")
     absent = [[getattr(gaussians, name) is None for name in names] for gaussians in (one, other)]
     return one.sh.shape == other.sh.shape and absent[0] == absent[1]

@@ -205,7 +205,7 @@ class _GaussianBoxes(NamedTuple):
         return _Box(0.5 * (low + high) @ axes, axes, half, power, members)
 
     def halves(self, box: _Box) -> list[_Box]:
-        """Splits a box's Gaussians across its longest axis into halves of equal power, and returns a box around each."""
+        """Splits a box's Gaussians across its longest axis into halves of equal power; returns a box around each."""
         along = self.means[box.members] @ box.axes[int(box.half.argmax())]
         order = np.argsort(along, kind="stable")
         power: Doubles = np.cumsum((self.luminance * self.areas)[box.members][order])

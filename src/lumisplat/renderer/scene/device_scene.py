@@ -183,8 +183,7 @@ class DeviceScene:
             self._synced = self.graph_key
 
     def take_assets(self, other: DeviceScene) -> None:
-        """Takes over another device scene's assets, and its BVHs if its kernel response, which they bound, is the
-        same.
+        """Takes over another device scene's assets, and its BVHs unless the kernel response that they bound differs.
 
         Args:
             other: A device scene of the same launcher, which is not used any more.
@@ -255,7 +254,7 @@ class DeviceScene:
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
 
     def _note_layout(self, *, same_meshes: bool) -> None:
-        """Increases ``version`` if the last upload replaced device arrays; overwriting existing arrays does not count."""
+        """Increases ``version`` if the last upload replaced device arrays instead of overwriting them."""
         layout: list[object] = [part for asset in self.assets for part in (asset.data, asset.instance_ids)]
         before = self._layout
         same_splats = before is not None and len(layout) == len(before) and all(map(operator.is_, layout, before))

@@ -1,4 +1,4 @@
-"""Kernels that start the rays of a sample. One item is one ray; camera rays are stored in square blocks of pixels."""
+"""Kernels that start the rays of a sample. One thread per ray; camera rays are stored in square blocks of pixels."""
 
 import warp as wp
 
@@ -19,7 +19,7 @@ def start_rays(
     listed: ListedRays,
     rays_out: RayData,
 ):
-    """Starts the rays of a camera's pixels, or only of the pixels in ``listed``.
+    """Per ray: starts the ray of a camera's pixel, or of an entry of ``listed`` if the list is not empty.
 
     Rays outside the window, after the end of the list, or outside a fisheye's image circle are inactive.
     """
@@ -66,7 +66,7 @@ def load_rays(
     starts: wp.array[float],
     rays_out: RayData,
 ):
-    """Starts ``count`` rays of a caller; further elements of ``rays_out`` are inactive.
+    """Writes a caller's ``count`` rays to the tracer's arrays; further elements of ``rays_out`` are inactive.
 
     ``first`` is the index, within the caller's query, of the first ray.
     """

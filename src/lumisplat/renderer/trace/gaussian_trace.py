@@ -77,7 +77,7 @@ class GaussianTracer:
         profiles: DeviceArray | None = None,
         marked: DeviceArray | None = None,
     ) -> GaussianHits:
-        """Returns the Gaussian hits of each ray up to its limit.
+        """Returns what each ray hits among Gaussians up to its limit: blended colour, transmittance and surface.
 
         Args:
             scene: The device scene, synced for rays.

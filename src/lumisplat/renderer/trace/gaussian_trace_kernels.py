@@ -1,6 +1,6 @@
 """Kernels that trace rays through Gaussians; packets of neighbouring rays traverse the BVHs together.
 
-One item is ``lanes`` consecutive rays: 16 on the CPU, where a loop over the lanes compiles to vector instructions, and
+One thread traces ``lanes`` consecutive rays: 16 on the CPU, where a loop over them compiles to vector instructions, and
 1 on CUDA, where the threads of a warp run in step. Rays with similar origins and directions form a packet. The packet
 visits the nearest child first, and each ray keeps its nearest hits sorted by (t, index). Hits nearer than all nodes on
 the stack are final and are blended at once. A ray whose list overflows drops its farthest hit, and later starts another
@@ -58,7 +58,7 @@ but more threads hide more latency (H200, a million Gaussians: 86 ms instead of 
 
 @functools.cache
 def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
-    """Returns the kernel whose items are ``lanes`` rays each, with a stack of ``entries`` nodes."""
+    """Returns the kernel whose threads trace ``lanes`` rays each, with a traversal stack of ``entries`` nodes."""
     LANES = lanes
     options = {**PACKET_OPTIONS, "block_dim": TRACE_THREADS}
     stacks = node_stack_of(entries)

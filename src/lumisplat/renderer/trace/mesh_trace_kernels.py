@@ -1,4 +1,4 @@
-"""Kernel that finds the nearest triangle on each ray. One item is one ray."""
+"""Kernel that finds the nearest triangle on each ray. One thread per ray."""
 
 import warp as wp
 

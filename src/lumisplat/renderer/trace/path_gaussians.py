@@ -20,12 +20,13 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class DarkenedCaptures(NamedTuple):
-    """Captures that appear black to rays, because surfaces already sample them as lights."""
+    """Captures that are black to secondary rays, because the surfaces where the rays start sample them as lights."""
 
     marked: DeviceArray
-    """The scene's splat instances, in which the darkened captures have the relit flag."""
+    """Copy of the scene's splat instances whose ``relit`` flag marks the captures to darken."""
     mirrored: wp.array[int] | None
-    """1 for each ray that comes from a mirror, to which the captures do not appear black; None: there is no such ray.
+    """1 for each ray that a mirror reflected, to which the captures are visible, else 0; None: no ray is from a
+    mirror.
     """
 
 
@@ -93,7 +94,7 @@ class PathGaussians:
     def find_emitted(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], marked: DeviceArray, name: str
     ) -> GaussianHits:
-        """Returns the radiance of emissive captures on secondary rays, separately for captures with the relit flag.
+        """Returns the radiance of emissive captures on secondary rays; that of flagged captures also separately.
 
         Rays end at relit surfaces, and where their transmittance falls to `EMITTER_OPAQUE`.
 
@@ -101,7 +102,7 @@ class PathGaussians:
             scene: The device scene, synced for rays.
             rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             limits: Distances at which rays end, such as those of the nearest meshes.
-            marked: The scene's splat instances with changed relit flags, as for `GaussianTracer.find`.
+            marked: Copy of the scene's splat instances whose ``relit`` flag marks the captures to separate.
             name: Name of the buffers that hold the result.
         """
         if scene.plan.relights:
@@ -111,7 +112,7 @@ class PathGaussians:
     def _find_relit(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
     ) -> tuple[GaussianHits, DeviceArray]:
-        """Returns each ray's hit on a relit Gaussian, and the distance of that hit, or else the ray's limit."""
+        """Returns each ray's hit on a relit Gaussian, and the distance where the ray ends: the hit, or its limit."""
         relit = self._stochastic.find(scene, rays, limits, f"{name}.relit", bounced=bounced, sets=SplatSets.RELIT)
         ends = self._buffers.get(f"{name}.ends", wp.float32, len(rays.t_max))
         self._launcher.run_banded(kernels.end_at_surfaces, len(rays.t_max), limits, relit, ends)

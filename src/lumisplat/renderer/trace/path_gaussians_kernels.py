@@ -1,6 +1,6 @@
 """Kernels that join the hits of emissive captures and relit sets on rays of paths: one of the two hits ends each ray.
 
-One item is one ray.
+One thread per ray.
 """
 
 import warp as wp
@@ -43,7 +43,7 @@ def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inou
 
 @wp.kernel
 def darken(start: int, rays: RayData, mirrored: wp.array[int], hits_inout: GaussianHits):
-    """Subtracts the radiance of darkened captures from each ray's, except on rays that come from a mirror."""
+    """Subtracts from each ray's radiance that of darkened captures, unless a mirror reflected the ray."""
     i = start + wp.tid()
     if not rays.is_active[i]:
         return

@@ -1,4 +1,4 @@
-"""Primary hits: the common result of rasteriser and ray tracer, from which every integrator starts."""
+"""Primary hits (what camera rays hit): the common result of rasteriser and ray tracer, input of every integrator."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lumisplat.runtime.buffers import device_array
 
 @dataclass(frozen=True, slots=True)
 class PrimaryHits:
-    """Rays, whose number is a multiple of the packet size, and what they hit."""
+    """Rays, padded to a multiple of the packet size, and the triangles and Gaussians that they hit."""
 
     rays: RayData
     meshes: MeshHits
@@ -25,9 +25,10 @@ class PrimaryHits:
 
     @property
     def graph_key(self) -> object:
-        """Addresses of the arrays of hits: a recorded CUDA graph is stale if it contains other addresses.
+        """Number of rays, and addresses of the arrays of hits; a CUDA graph recorded with other values is stale.
 
-        Rays that leave surfaces may have separate arrays for relit sets, although camera rays have none.
+        Rays that leave surfaces may have separate arrays for the hits on relit splat sets, although camera rays have
+        none.
         """
         arrays = self.rays.is_active, self.meshes.t, self.gaussians.color, self.gaussians.relit_weight
         return self.count, [device_array(array).ptr if array else 0 for array in arrays]

@@ -49,7 +49,7 @@ class RayTracer:
         centers: RayData | None = None,
         dark: DarkenedCaptures | None = None,
     ) -> PrimaryHits:
-        """Returns the nearest mesh on each ray, and the Gaussians in front of it.
+        """Returns what each ray hits: the nearest triangle, and the Gaussians in front of it.
 
         Args:
             scene: The device scene, synced for rays.
@@ -79,13 +79,13 @@ class RayTracer:
     def find_emitted(
         self, scene: DeviceScene, rays: RayData, ends: wp.array[float], marked: DeviceArray, name: str
     ) -> GaussianHits:
-        """Returns the radiance of emissive captures on secondary rays of paths, separately for flagged captures.
+        """Returns the radiance of emissive captures on secondary rays of paths; also separately for flagged captures.
 
         Args:
             scene: The device scene, synced for rays.
             rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             ends: Distance at which each ray ends.
-            marked: The scene's splat instances, in which the relit flag marks captures to accumulate separately.
+            marked: Copy of the scene's splat instances whose ``relit`` flag marks the captures to separate.
             name: Name of the buffers that hold the result.
         """
         assert isinstance(self._gaussians, PathGaussians)

@@ -11,19 +11,19 @@ from lumisplat.runtime.buffers import DeviceArray
 
 @dataclass(frozen=True, slots=True)
 class CarriedState:
-    """State that the rays of a later wave inherit from the rays that they branch off."""
+    """What the rays of a wave inherit from the rays that they were reflected or refracted from."""
 
     weights: DeviceArray | None = None
     """Weight of each ray in the colour of its parent ray, as in `WaveData`."""
     media: DeviceArray | None = None
-    """Media that each ray is in; None: the scene has no media."""
+    """Media (meshes of glass) that each ray is inside; None: the scene has no media."""
     sees_environment: DeviceArray | None = None
     """True for each ray that gets environment radiance if it escapes; None: all rays get it."""
 
 
 @dataclass(frozen=True, slots=True)
 class RayWave:
-    """Rays after a given number of reflections and refractions, with their hits and radiance.
+    """A wave: all rays after the same number of reflections and refractions, with their hits and radiance.
 
     Later waves overwrite the interactions and path weights. They also overwrite rays and hits, except those of the
     primary wave.
@@ -50,11 +50,12 @@ class RayWave:
 
 @dataclass(frozen=True, slots=True)
 class LightImages:
-    """Images of the first wave's light, split by light and by layer: linear, each an array of one vec3 per ray."""
+    """Images of the camera rays' light by light source and by layer: linear, each an array of one vec3 per ray."""
 
     direct: list[DeviceArray] = field(default_factory=list[DeviceArray])
     """Direct light of each light without shadows."""
     arrived: list[DeviceArray] = field(default_factory=list[DeviceArray])
     """Direct light of each light with shadows."""
     layers: dict[str, DeviceArray] = field(default_factory=dict[str, DeviceArray])
-    """Further layers by name."""
+    """Images of the frame's layers (AOVs) that only the integrator knows, such as direct_diffuse or bounces, by name.
+    """

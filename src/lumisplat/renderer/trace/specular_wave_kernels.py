@@ -1,9 +1,10 @@
-"""Kernels of reflection and refraction, wave by wave. One item is one ray, or one branch of a ray.
+"""Kernels of reflection and refraction, bounce by bounce. One thread per ray, or per branch of a ray.
 
-A ray has two branches, with indices ``ray`` (reflected) and ``stride + ray`` (refracted). Frames with glossy
-reflections have a third branch, ``2 stride + ray`` (sampled from a specular lobe). Most branches are empty. An
-inclusive prefix sum over the branch counts, 0 or 1, gives the indices of the next wave's rays: reflected rays first,
-then refracted rays, then lobe rays, each in the order of the previous wave, so that neighbours stay neighbours.
+A wave is all rays after the same number of bounces. A ray has two branches, with indices ``ray`` (reflected) and
+``stride + ray`` (refracted). Frames with glossy reflections have a third branch, ``2 stride + ray`` (sampled from a
+specular lobe). Most branches are empty. An inclusive prefix sum over the branch counts, 0 or 1, gives the indices of
+the next wave's rays: reflected rays first, then refracted rays, then lobe rays, each in the order of the previous wave,
+so that neighbours stay neighbours.
 """
 
 import warp as wp
@@ -23,17 +24,17 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 LOBES = wp.constant(2)
-"""Index of the specular-lobe branch among a ray's branches."""
+"""Index of the branch sampled from the specular lobe, after reflection (0) and refraction (1)."""
 
 
 @wp.func
 def start_ray(child: int, parent: int, branch: int, path_length: float, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts ray ``child``, a branch of ray ``parent``, except for its origin, direction, ``t_min`` and footprint.
+    """Starts ray ``child``, a branch of ray ``parent``; the caller sets origin, direction, ``t_min`` and footprint.
 
     Args:
         child: Index of the new ray in the next wave.
         parent: Index of the parent ray in this wave.
-        branch: Branch of the parent's random keys that the child gets.
+        branch: Number by which the child's random keys are derived from the parent's.
         path_length: Length of the unfolded path from the eye to the child's origin.
         wave: Wave of the parent.
         rays_out: Rays of the next wave.
@@ -85,10 +86,10 @@ def spawn_rays(
     media_out: wp.array[wp.vec4i],
     sees_environment_out: wp.array[wp.bool],
 ):
-    """Starts the ray of each branch at the parent's hit, on the side of the surface to which the ray leaves.
+    """Per branch: starts its ray at the parent's hit, on the side of the surface to which the ray leaves.
 
-    One item is one branch. ``media_out`` is empty in scenes without media, and ``sees_environment_out`` where all rays
-    get environment radiance.
+    ``media_out`` is empty in scenes without media, and ``sees_environment_out`` where all rays get environment
+    radiance.
     """
     j = start + wp.tid()
     if wave[0].branches[j] == 0:

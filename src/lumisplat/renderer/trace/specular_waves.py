@@ -1,7 +1,8 @@
-"""Host pass: waves of reflected and refracted rays.
+"""Host pass: follows reflected and refracted rays bounce by bounce.
 
-Rays that leave the smooth surfaces of one wave form the next wave. Radiance is gathered from the last wave to the
-first, so that each array element is written by one item, and the result does not depend on the number of threads.
+A wave is all rays after the same number of bounces; the rays that leave its smooth surfaces form the next wave.
+Radiance is gathered from the last wave to the first, so that each array element is written by one thread, and the
+result does not depend on the number of threads.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
@@ -21,7 +22,7 @@ from lumisplat.runtime.primitives import prefix_sum
 
 
 class SpecularWaves:
-    """Starts the rays of the next wave, and adds their radiance to the rays that they branched off.
+    """Starts the rays of the next bounce, and adds their radiance to the rays that they branched off.
 
     Args:
         launcher: Runs the kernels.
@@ -37,11 +38,11 @@ class SpecularWaves:
         return [kernels]
 
     def number(self, wave: RayWave) -> None:
-        """Numbers the non-empty branches of a wave; the numbers are the indices of the next wave's rays."""
+        """Assigns consecutive indices in the next wave to the reflected and refracted rays that leave a wave."""
         prefix_sum(device_array(wave.row.branches), device_array(wave.row.branch_ends), inclusive=True)
 
     def capacity(self, wave: RayWave) -> int:
-        """Returns how many rays to allocate for the next wave, 0 if it has none; waits for the number of rays.
+        """Returns how many rays to allocate for the next wave; 0 if it has none. Blocks until the device has counted.
 
         Sizes are rounded up to a few capacities, so that buffers are reused.
         """
@@ -49,7 +50,7 @@ class SpecularWaves:
         return grown_capacity(count)
 
     def spawn(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, capacity: int) -> tuple[RayData, CarriedState]:
-        """Returns the rays of the next wave and the state that they inherit; also writes their path weights."""
+        """Returns the rays of the next wave and the state that they inherit; also writes the rays' path weights."""
         number = wave.number + 1
         rays = self._buffers.struct(f"wave.rays{number % 2}", RayData, capacity)
         rays.is_active.zero_()
@@ -67,5 +68,5 @@ class SpecularWaves:
         return rays, CarriedState(weights, media, sees_environment)
 
     def gather(self, scene: DeviceScene, near: RayWave, far: RayWave) -> None:
-        """Adds the radiance of the ``far`` wave's rays to their parent rays in the ``near`` wave."""
+        """Adds the radiance of wave ``far`` to the rays of the wave before, ``near``, that its rays branched off."""
         self._launcher.run_banded(kernels.gather_branches, near.count, scene.shading, far.data, near.data)

@@ -1,4 +1,4 @@
-"""Kernel of stochastic hits of incoherent rays. One item is one ray, which traverses the BVHs alone.
+"""Kernel of stochastic hits of incoherent rays. One thread per ray, which traverses the BVHs alone.
 
 A ray's hit equals that of ``gaussian_trace_kernels`` with ``STRATEGY_HIT``: the nearest of the Gaussians that are
 accepted with probability alpha. The equations are in docs/method/ray_tracing.md.
@@ -47,7 +47,7 @@ def find_hit_in_instance(
     rays: RayData,
     nearest: wp.ref[Hit],
 ):
-    """Replaces the nearest hit of ray ``i`` if a Gaussian of instance ``number`` is nearer.
+    """Replaces ``nearest``, the nearest hit of ray ``i``, if the ray hits a nearer Gaussian of instance ``number``.
 
     The traversal uses ``stack`` above entry ``top``.
     """
