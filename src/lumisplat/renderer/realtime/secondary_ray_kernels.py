@@ -195,7 +195,10 @@ random key."""
 
 @wp.func
 def traced_share(j: int, wave: wp.array[WaveData]) -> float:
-    """Returns the albedo of the highlight of interaction ``j``; 0 if the highlight is too wide for rays to follow."""
+    """Returns the fraction of light that the highlight of interaction ``j`` reflects; 0 if it is too wide for rays.
+
+    A highlight is too wide if its roughness alpha is at least ``ALPHA_TO``.
+    """
     interaction = interaction_of(j, wave)
     if highlight_width(interaction.bsdf) >= ALPHA_TO:
         return 0.0
