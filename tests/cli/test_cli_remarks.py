@@ -62,13 +62,48 @@ def test_render_logs_no_black_sides_if_light_reaches_all_sides(scene: ls.Scene) 
     assert remarks(scene) == []
 
 
+def test_render_logs_that_lights_change_no_capture() -> None:
+    """Without a material, a capture stays as captured; beside meshes, the line names ``--shadow-catcher`` too."""
+    plain = replace(KEPT, shadow_catcher=False)
+    (line,) = remarks(ls.Scene([plain], [], [SKY]))
+    assert line.startswith("captures without a material stay as captured: material = {}") and "catcher" not in line
+    (line,) = remarks(ls.Scene([plain], [WALL], [SKY]))
+    assert line.endswith("--shadow-catcher shows the shadows of meshes on them")
+    assert remarks(ls.Scene([plain], [WALL])) == remarks(ls.Scene([plain], [], [SKY]), lighting=False) == []
+    for other in (KEPT, RELIT):
+        assert remarks(ls.Scene([plain, other], [], [SKY])) == []
+    for has_actors, count in ((False, 1), (True, 0)):
+        scene = ls.Scene([plain], [], [SKY])
+        lines = list(frame_remarks(ls.RenderConfig(), scene, {}, EnvironmentOptions(), has_actors=has_actors))
+        assert len(lines) == count
+
+
+def test_shadow_catcher_option_shows_the_shadow_of_a_mesh_on_a_capture(tmp_path, capsys) -> None:
+    """A mesh between a light and a capture darkens the capture with the option only."""
+    work = Workspace(tmp_path, capsys)
+    disk = ls.Gaussians(
+        np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.array([[1, 1, 0.02]]), [0.95], np.ones((1, 1, 3))
+    )
+    ls.save(work.path("disk.ply"), disk)
+    work.path("blocker.obj").write_text("v -1.4 -0.4 -1\nv -0.6 -0.4 -1\nv -1 0.5 -1\nf 1 2 3\n")
+    work.path("a.toml").write_text(
+        'up = "y-up"\n[[splats]]\npath = "disk.ply"\n[[meshes]]\npath = "blocker.obj"\nupright = false\n'
+        '[[lights]]\ntype = "directional"\ndirection = [1, 0, 1]\nintensity = 3\n'
+    )
+    options = ("--width", "24", "--device", "cpu", "--eye", "0,0,-4", "--target", "0,0,0")
+    for name, more in (("plain", ()), ("caught", ("--shadow-catcher",))):
+        assert work.run("render", "@a.toml", "-o", f"@{name}.npz", *options, *more).status == 0
+    plain, caught = (np.load(work.path(f"{name}.npz"))["color"] for name in ("plain", "caught"))
+    assert (caught <= plain + 1e-6).all() and (caught < 0.9 * plain).any()
+
+
 def test_render_logs_a_capture_with_albedo_but_without_a_material() -> None:
     """Users who run ``delight`` and add lights expect the capture to be lit."""
     found = replace(one_gaussian(), albedo=np.full((1, 3), 0.5, np.float32))
     unlit = ls.SplatInstance(found)
     for lights in ([POINT_LIGHT, SECOND], [SKY]):
         (line,) = remarks(ls.Scene([unlit, RELIT], [], lights))
-        assert line.startswith("captures with an albedo stay unlit without a material")
+        assert line.startswith("captures without a material stay as captured")
     assert remarks(ls.Scene([unlit], [], [SKY]), lighting=False) == []
     for scene in (
         ls.Scene([unlit]),

@@ -106,8 +106,8 @@ def test_merging_overlapping_incomplete_or_unrelated_sample_parts_is_refused() -
     [
         (ls.RenderConfig(), "drawn in one go"),
         (ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "drawn in one go"),
-        (settings(noise=0.1), "set samples"),
-        (ls.RenderConfig(pipeline=ls.Pipeline.PATH, time_limit=1.0), "set samples"),
+        (settings(noise=0.1), "set only samples"),
+        (ls.RenderConfig(pipeline=ls.Pipeline.PATH, time_limit=1.0), "set only samples"),
     ],
 )
 def test_frames_that_cannot_be_split_into_sample_parts_are_refused(config: ls.RenderConfig, message: str) -> None:

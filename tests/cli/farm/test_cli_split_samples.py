@@ -118,7 +118,7 @@ def test_render_by_sample_blocks_continues_after_a_killed_process(work, tmp_path
     [
         (("--tiles", "2x2,samples", "--denoise"), "--denoise and --tiles exclude each other"),
         (("--tiles", "2x1,samples", "--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
-        (("--set=noise=0.1",), "to split them, set samples"),
+        (("--set=noise=0.1",), "to split a frame, set only samples"),
         (("--pipeline", "realtime"), "drawn in one go"),
         (("--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
     ],

@@ -185,7 +185,7 @@ def test_resuming_a_frame_of_another_size_background_or_scene_is_refused() -> No
         with pytest.raises(ls.ConfigError, match=rf"cannot resume a frame of 24 x 18 .* is {camera.width} x"):
             renderer("cpu").render(scene(), camera, resume=frame)
     for background in (None, (0.1, 0.2, 0.4)):
-        with pytest.raises(ls.ConfigError, match=r"over \(0.1, 0.2, 0.3\): this one is .* over "):
+        with pytest.raises(ls.ConfigError, match=r"over background \(0.1, 0.2, 0.3\): the new one is .* over "):
             renderer("cpu", background=background).render(scene(), view(), resume=frame)
     other = replace(scene(), splats=scene().splats[:1], meshes=())
     count = scene().gaussian_count, other.gaussian_count

@@ -196,7 +196,7 @@ class _AnimationFrames:
         source: FrameSource,
         folder: FrameFolder,
         *,
-        remarks: Callable[[ls.Scene], Iterable[str]],
+        remarks: Callable[..., Iterable[str]],
     ) -> None:
         self._animation, self._cameras, self._source = animation, cameras, source
         self._folder, self._remarks = folder, remarks
@@ -213,7 +213,8 @@ class _AnimationFrames:
             scene = self._lit_scene(index)
         if is_first:
             # Remarks are about the lit scene, because actors may light a scene without lights.
-            for line in (*self._remarks(self._without_lit_albedos(scene)), *self._light_remarks()):
+            remarks = self._remarks(self._without_lit_albedos(scene), has_actors=self._lighter is not None)
+            for line in (*remarks, *self._light_remarks()):
                 _log.warning("%s", line)
         if self._last != index - 1:
             self._source.cut()

@@ -185,7 +185,7 @@ class Render(ViewsCommand, FrameCommand):
         check_writable(self.output)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
-        blocks = self._blocks(config, lit=environment is not None)
+        blocks = self._blocks(config, lit=environment is not None or self.light.shadow_catcher)
         scene = blocks.preview if blocks else self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
         config = self.light.with_capture_gain(renderer, config, scene)

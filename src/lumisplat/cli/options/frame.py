@@ -69,6 +69,8 @@ class EnvironmentOptions(LightOptions):
     """Brighten lit images by this many stops."""
     capture_gain: Annotated[float | Literal["auto"] | None, setting("N|auto", "0")] = None
     """Brighten captured light on added objects by N stops; auto: estimate N from the scene."""
+    shadow_catcher: Flag = False
+    """Show the shadows of added objects on captures that no material relights."""
     denoise: Flag = False
     """Denoise lit frames; needs pip install 'lumisplat[denoise]'."""
 
@@ -120,12 +122,15 @@ class EnvironmentOptions(LightOptions):
         return ls.LightEnvironment(image=ls.io.load_radiance(self.environment), name=self.environment.stem)
 
     def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None) -> ls.Scene:
-        """Returns the scene with another environment, rotated upright and by ``--environment-rotation``.
+        """Returns the scene with the environment, upright and rotated, and the shadow catchers of the options.
 
         Args:
             scene: The loaded scene.
-            environment: Light from `environment_light`; None leaves the scene unchanged.
+            environment: Light from `environment_light`; None keeps the lights of the scene.
         """
+        if self.shadow_catcher:
+            catchers = (replace(one, shadow_catcher=one.material is None or one.shadow_catcher) for one in scene.splats)
+            scene = replace(scene, splats=tuple(catchers))
         if environment is None:
             return scene
         warn_if_up_is_guessed(scene)
@@ -305,8 +310,9 @@ def frame_remarks(
     light: EnvironmentOptions,
     *,
     device: str = "auto",
+    has_actors: bool = False,
 ) -> Iterator[str]:
-    """Yields log lines about options without effect, and about frames that will be black, patchy or too dark.
+    """Yields log lines about options without effect, and about frames that will be unlit, black, patchy or too dark.
 
     Args:
         config: Settings of the frame.
@@ -314,9 +320,10 @@ def frame_remarks(
         given: Option that the user gave for each setting, by the setting's name.
         light: Light options.
         device: Value of ``--device``.
+        has_actors: Whether an `AvatarLighter` lights actors among the captures, and shadows the captures.
     """
     yield from unused_options(config, scene, given, light)
-    yield from _unused_albedos(config, scene)
+    yield from _unlit_captures(config, scene, has_actors=has_actors)
     yield from _unlit_sides(config, scene)
     yield from _captures_without_surface(config, scene, device)
     yield from _clipped_light(config, scene, light)
@@ -332,7 +339,9 @@ def unused_options(
     if config.pipeline.is_sequence:
         del unused["samples"]  # --samples counts warm-up frames
     if not lit:
-        unused |= dict.fromkeys(("denoise", "environment", "environment_rotation"), unused["exposure"])
+        unused |= dict.fromkeys(
+            ("denoise", "environment", "environment_rotation", "shadow_catcher"), unused["exposure"]
+        )
     options = {option.removeprefix("--").replace("-", "_"): option for option in given_options(light)} | dict(given)
     reasons: dict[str, list[str]] = {}
     for name, option in options.items():
@@ -354,14 +363,17 @@ def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: 
             yield f"{one.name}: {remark}" if one.name else remark
 
 
-def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
-    """Yields a log line if lights do not affect captures that have an albedo, because these have no material."""
-    unlit = [one for one in scene.splats if one.gaussians.albedo is not None and one.material is None]
-    lights = [light for light in scene.lights if light.enabled]
-    if config.lighting is not False and lights and any(not one.shadow_catcher for one in unlit):
+def _unlit_captures(config: ls.RenderConfig, scene: ls.Scene, *, has_actors: bool) -> Iterator[str]:
+    """Yields a log line if lights affect no capture, or not a capture with an albedo, for want of a material."""
+    unlit = [one for one in scene.splats if one.material is None and not one.shadow_catcher]
+    has_albedo = any(one.gaussians.albedo is not None for one in unlit)
+    if config.lighting is False or not unlit or not any(light.enabled for light in scene.lights):
+        return
+    if has_albedo or (len(unlit) == len(scene.splats) and not has_actors):
+        catch = "; --shadow-catcher shows the shadows of meshes on them" if scene.meshes and not has_actors else ""
         yield (
-            "captures with an albedo stay unlit without a material: material = {} of "
-            "their [[splats]] in a scene.toml lights them"
+            "captures without a material stay as captured: material = {} of their [[splats]] in a scene.toml relights "
+            f"them{catch}"
         )
 
 
