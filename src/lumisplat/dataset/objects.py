@@ -175,7 +175,7 @@ class ObjectPlacer:
         return scale if self._config.own_size else 0.5 * size * self._space.diagonal / asset.radius
 
     def _rotation(self, asset: Asset, draws: Draws) -> Doubles:
-        """Returns a random rotation for an object, shape (3, 3): about up, or any if it need not stand upright."""
+        """Returns a random rotation for an object, shape (3, 3): about up for upright objects, else any rotation."""
         u1, u2, u3 = draws.units(3)
         if not self._config.upright:
             return rotation_matrix(uniform_quaternion(u1, u2, u3))

@@ -49,7 +49,7 @@ class _LoadOptions(NamedTuple):
     crease_angle: float | None
     """Angle in radians below which faces of an OBJ without normals are shaded smoothly; None: 0.9, `CREASE_ANGLE`."""
     up: str | npt.ArrayLike | None
-    """Up direction for a ``scene.toml`` that states none: an axis (``"y-down"``) or a vector; None guesses it."""
+    """Up direction for a ``scene.toml`` that states none: an axis (``"y-down"``) or a vector; None: see `load`."""
     progress: Callable[[float], None] | None
     """Called by the PLY reader with the fraction read, 0..1; None reports nothing."""
     incident: bool
@@ -146,7 +146,8 @@ def load(
         allow_outside: Whether a file may refer to buffers, layers, materials and textures outside of its own folder.
             Set it only for files that you trust. A ``scene.toml`` may always refer to any file.
         up: Up direction for a ``scene.toml`` that does not state it: an axis (``"y-down"``) or a direction. None means
-            y down if the scene has a capture, y up if it has only meshes. Other formats ignore the argument.
+            that of the first capture that states one, or else y down if the scene has a capture, y up if it has only
+            meshes. Other formats ignore the argument.
         incident: Whether to read the incident light that a .ply may store (R3DG's ``incidents_*``). It is the light of
             the training images, and does not light the scene.
         lod: Level of detail for streamed SOGs and captures in blocks, also those in a ``scene.toml``: 0 is the finest;

@@ -211,7 +211,10 @@ def _sh(primitive: GltfPrimitive, count: int) -> FloatArray:
 
 
 def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatArray:
-    """Reads an attribute of KHR_gaussian_splatting for ``count`` Gaussians, shape (count, components)."""
+    """Reads an attribute of KHR_gaussian_splatting for ``count`` Gaussians, shape (count, components).
+
+    ``layout`` has its name and the number formats that it may have.
+    """
     full = f"{_EXTENSION}:{layout.name}"
     values = primitive.floats(full, layout.kind)
     if values is None:

@@ -23,7 +23,9 @@ from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
 """Material classes by their ``type`` in a scene file."""
 _SHARED = ("base_color", "base_color_texture", "name")
-"""Fields of both material types, which a material table takes from the file's material even if the types differ."""
+"""Fields that `MaterialPbr` and `MaterialSimple` have in common.
+
+A material table of the one type takes them from a file's material of the other type."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -261,6 +261,10 @@ def stored_activated(columns: SplatColumns, scale_columns: int = 3) -> tuple[boo
     Args:
         columns: Scales and opacities as the file has them; invalid Gaussians are ignored.
         scale_columns: Number of scales in the file, 2 for 2D Gaussians.
+
+    Returns:
+        True if scales are no logarithms, and True if opacities are no logits; both False with too few Gaussians to
+        tell.
     """
     if columns.count < _ACTIVATED_MIN or LOGITS_COMMENT in columns.comments:
         return False, False

@@ -182,7 +182,7 @@ def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles,
 def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tuple[Doubles, Doubles]:
     """Returns quaternions wxyz, shape (K, 4), and uniform scales, shape (K,), nearest to the K transforms of a prim.
 
-    A remark is recorded if a transform stretches or mirrors, which both cannot represent.
+    If a transform stretches or mirrors, which quaternion and scale cannot represent, the log reports it.
     """
     linear = transforms[:, :3, :3]
     left, factors, right = np.linalg.svd(linear)

@@ -161,7 +161,7 @@ def _positive(name: str, length: float) -> float:
 
 
 def write_cameras(writer: StageWriter, cameras: Sequence[Camera]) -> None:
-    """Writes cameras and their image sizes as render products. Fisheye cameras are left out with a remark."""
+    """Writes cameras, and their image sizes as render products. Fisheye cameras are left out, which is logged."""
     for camera in cameras:
         if camera.model is CameraModel.FISHEYE:
             writer.remarks.add("fisheye cameras", camera.name)

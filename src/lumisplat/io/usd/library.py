@@ -1,7 +1,7 @@
 """Wraps usd-core: its modules, its messages, its errors, and the files that it may open.
 
-The library opens every file that a layer names. Lumisplat therefore finds and checks all layers of a stage before the
-library composes the stage.
+usd-core opens every file that a layer names. Lumisplat therefore finds and checks all layers of a stage before usd-core
+composes the stage.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ _REASON_MAX = 160
 """Largest number of characters of usd-core's error text that an error message quotes."""
 
 _INTERNAL = re.compile(r"pxrInternal_\w+?__(::)?")
-"""Matches the prefixes of internal namespaces, which error messages leave out."""
+"""Matches prefixes of usd-core's internal C++ namespaces, which are removed from its error messages."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @cache
 def pxr() -> Any:
-    """Returns the modules of usd-core as attributes, such as ``pxr().UsdGeom``. The library has no type stubs.
+    """Returns usd-core's modules as attributes, such as ``pxr().UsdGeom``; usd-core has no type stubs.
 
     Raises:
         MissingExtraError: usd-core is not installed.
@@ -60,7 +60,7 @@ def pxr() -> Any:
 
 @contextmanager
 def reading_usd(path: PathLike) -> Generator[None]:
-    """Silences the library inside the block, and turns its errors into one `FormatError` about ``path``.
+    """Silences usd-core inside the block, and turns its errors into one `FormatError` about ``path``.
 
     Standard output and error are redirected inside the block. Log lines of Lumisplat are therefore emitted after it.
 
@@ -78,7 +78,7 @@ def reading_usd(path: PathLike) -> Generator[None]:
 
 @contextmanager
 def writing_usd(path: PathLike) -> Generator[None]:
-    """Silences the library inside the block, as `reading_usd`, and reports its errors as failures to write ``path``.
+    """Silences usd-core inside the block, as `reading_usd` does, and reports its errors as failures to write ``path``.
 
     Raises:
         FormatError: The file cannot be written.
@@ -91,7 +91,7 @@ def writing_usd(path: PathLike) -> Generator[None]:
 
 
 def _reason(error: Exception, path: PathLike) -> str:
-    """Returns the library's error text after a colon, on one line, without internal names and the file's path."""
+    """Returns ": " and usd-core's error text on one line, without internal C++ names and the file's path."""
     first: object = error.args[0] if error.args else ""
     text = " ".join(str(getattr(first, "commentary", first)).split())
     for name in (os.path.abspath(path), os.fspath(path)):
@@ -106,7 +106,7 @@ def _reason(error: Exception, path: PathLike) -> str:
 
 @contextmanager
 def _log_deferred() -> Generator[None]:
-    """Holds back the log records of the block, and emits them at its end."""
+    """Collects Lumisplat's log records inside the block, and emits them at its end."""
     records: list[logging.LogRecord] = []
 
     def hold(record: logging.LogRecord) -> bool:
@@ -123,15 +123,15 @@ def _log_deferred() -> Generator[None]:
 
 
 def check_layers(path: Path, text: str) -> list[Any]:
-    """Checks a file and all layers of its stage, each before the library opens it.
+    """Checks a file and all layers of its stage, each before usd-core opens it.
 
     Args:
         path: The file.
-        text: The path of the file in UTF-8, as the library needs it.
+        text: The path of the file in UTF-8, as usd-core needs it.
 
     Returns:
-        Layers that the caller must keep referenced. The library cannot open text with a byte order mark. Layers with
-        one are therefore created in memory, and the library finds them only as long as they exist.
+        Layers that the caller must keep referenced. usd-core cannot open text with a byte order mark. Layers with one
+        are therefore created in memory, and usd-core finds them only as long as they exist.
 
     Raises:
         FormatError: A layer is no regular file; its path leaves the folder of ``path`` without permission; or its name
@@ -169,9 +169,9 @@ def check_layers(path: Path, text: str) -> list[Any]:
 
 
 def _marked_layer(file: Path, name: str) -> Any | None:
-    """Creates the layer of a text file that starts with a byte order mark; returns None if the file has none.
+    """Creates the layer of a text file that starts with a byte order mark, which usd-core itself cannot open.
 
-    The USD library cannot open such files itself.
+    None if the file has no such mark.
 
     Raises:
         FormatError: The file starts with a byte order mark, but is not text in that encoding.
@@ -218,7 +218,7 @@ def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
 
 
 def check_loaded(path: Path) -> None:
-    """Refuses a stage for which the library has opened a layer outside of the folder of ``path`` without permission.
+    """Refuses a stage for which usd-core has opened a layer outside of the folder of ``path`` without permission.
 
     Reading values can open further layers, so this check runs after all values are read.
 
@@ -256,7 +256,7 @@ def _layer_dependencies(layer: Any) -> Iterator[str]:
 
 
 def _asset_packages(layer: Any) -> Iterator[str]:
-    """Yields the asset values of a layer that the library would open by itself: files in packages, and expressions."""
+    """Yields asset values of a layer whose files usd-core opens by itself: files in packages, and expressions."""
     px, values = pxr(), list[Any]()
 
     def collect(at: Any) -> None:

@@ -60,9 +60,9 @@ _UNREAD_INPUTS = {
     "inputs:specular": ("diffuse and specular multipliers of lights", 1.0),
     "inputs:shaping:focus": ("shaping:focus of lights", 0.0),
 }
-"""Light inputs that Lumisplat does not read, each with a remark and the value at which the input has no effect.
+"""Light inputs that Lumisplat does not read, each with words for the log and the value at which it has no effect.
 
-The remark is logged if an input has another value."""
+An input with another value is logged."""
 _SOFTNESS_MIN = 1e-6
 """Smallest softness of a spot: the width of its edge as a fraction of the cone angle. 0 would make a hard edge."""
 
@@ -80,7 +80,7 @@ def is_light(prim: Any) -> bool:
 
 
 def read_light(file: UsdFile, placed: PlacedPrim) -> Light | None:
-    """Reads a light into world space; returns None and adds a remark if the light type is not supported.
+    """Reads a light into world space; returns None if its type is not supported, which is logged.
 
     Raises:
         FormatError: A value is out of range, or the image of a dome light cannot be read.
@@ -226,14 +226,14 @@ def _disk(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, 
 def _flat_radiance(file: UsdFile, placed: PlacedPrim, emission: float, area: float, kind: str) -> float:
     """Returns the radiance of a rectangle or disk light from its emission, which is divided by ``area`` if normalized.
 
-    A cone is ignored, with a remark.
+    A cone is ignored, which is logged.
 
     Args:
         file: The open file.
         placed: The light.
         emission: Intensity times 2^exposure.
         area: Area of the light in square metres.
-        kind: Name of the light type, for the remark.
+        kind: Name of the light type, for the log.
     """
     if _has_cone(placed.prim):
         file.remarks.add(f"cones of {kind} lights", str(placed.prim.GetPath()))
@@ -263,7 +263,7 @@ _READERS: dict[str, Callable[[UsdFile, PlacedPrim, float, dict[str, Any]], Light
 def _read_environment(
     file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any], shadow_distance: float
 ) -> LightEnvironment | None:
-    """Reads a dome light as an environment; returns None and adds a remark if its image is not latlong."""
+    """Reads a dome light as an environment; returns None if its image is not latitude-longitude, which is logged."""
     prim = placed.prim
     asset, layout = (
         value(file, prim, "inputs:texture:file"),

@@ -118,7 +118,7 @@ def _surface_of(file: UsdFile, material: Any, remark: bool) -> _PreviewSurface |
     Args:
         file: The open file.
         material: The material prim.
-        remark: Whether to record a remark in the case of None.
+        remark: Whether to log a material without a UsdPreviewSurface.
     """
     shader = material.ComputeSurfaceSource()[0]
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
@@ -150,7 +150,7 @@ def _read_input(file: UsdFile, given: Any) -> _ShaderInput:
 
 
 def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | None:
-    """Reads a UsdUVTexture node. Returns None and adds a remark if the node names no file or uses UDIM tiles."""
+    """Reads a UsdUVTexture node. Returns None if it names no file or uses UDIM tiles, which is logged."""
     asset = _read_input(file, shader.GetInput("file")).value
     name = str(getattr(asset, "path", asset or ""))
     if not name or "<UDIM>" in name:
@@ -211,9 +211,9 @@ _UNSUPPORTED_FIELDS = {
     "transmission_texture": ("transmission textures", None),
     "priority": ("priorities of overlapping media", 0),
 }
-"""Material fields that UsdPreviewSurface lacks, each with a remark and the value at which the field has no effect.
+"""Material fields that UsdPreviewSurface lacks, each with words for the log and the value at which it has no effect.
 
-The remark is logged if a field has another value."""
+A field with another value is logged."""
 
 _Key = tuple[int, bool]
 
@@ -247,7 +247,7 @@ class UsdMaterials:
 
         Args:
             prim: A mesh or a particle field.
-            remark: Whether to record a remark about an unsupported material.
+            remark: Whether to log an unsupported material.
 
         Raises:
             FormatError: A value is out of range, or a texture is missing or corrupt.
@@ -331,7 +331,7 @@ class _Decoder:
         """Returns the texture of a shader input; None if no texture is connected.
 
         All textures of a material share the texture coordinates of the first. A texture with other coordinates is left
-        out: None is returned, and a remark is recorded.
+        out: None is returned, and the log reports it.
         """
         texture = self._surface.read(name).texture
         if texture is None:

@@ -42,7 +42,7 @@ def is_field(prim: Any) -> bool:
 
 
 def read_particles(file: UsdFile, prim: Any) -> SplatColumns | None:
-    """Reads the Gaussians of a particle field; returns None and adds a remark for other kernels and empty fields.
+    """Reads the Gaussians of a particle field; returns None for other kernels and empty fields, which are logged.
 
     Raises:
         FormatError: An attribute has the wrong type or shape.

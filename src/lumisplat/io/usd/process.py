@@ -34,15 +34,15 @@ from lumisplat.io.files.source import PathLike, check_regular, leaves_folder, ma
 USD_MEMORY = 3 * 2**28
 """Memory in bytes that a child may take to read a file of 0 bytes; `USD_MEMORY_PER_BYTE` adds to it.
 
-The library and Warp take 0.2 GB."""
+usd-core and Warp take 0.2 GB."""
 
 USD_ASSETS_MEMORY = 2 * 2**30
-"""Bytes added to the memory limit once, at a file's first texture. `TEXTURE_BYTES_FREE` limits decoded textures
-further."""
+"""Bytes added to a child's memory limit once, at a file's first texture. `TEXTURE_BYTES_FREE` also limits textures."""
 
 USD_MEMORY_PER_BYTE = 40
-"""Bytes added to the memory limit for each byte of layers and textures: numbers of 8 characters become doubles, and
-the library holds three copies of them."""
+"""Bytes added to a child's memory limit for each byte of layers and textures.
+
+Numbers of 8 characters become doubles, and usd-core holds three copies of them."""
 
 USD_CPU_SECONDS = 30
 """Processor time in seconds that a child may take for a file of 0 bytes; `USD_CPU_SECONDS_PER_MEGABYTE` adds to it.
@@ -50,27 +50,26 @@ USD_CPU_SECONDS = 30
 A crafted file with references nested 16 deep took minutes."""
 
 USD_CPU_SECONDS_PER_MEGABYTE = 1.0
-"""Seconds added to the processor time limit for each 2^20 bytes of the files. Reading 2^20 bytes of text takes 0.1 s.
-"""
+"""Seconds added to a child's processor time limit for each 2^20 bytes of files. Reading 2^20 bytes takes 0.1 s."""
 
 USD_WALL_FACTOR = 10.0
 """Elapsed time that a child may take, as a multiple of its processor time limit; large because machines may be busy."""
 
 USD_START_SECONDS = 300.0
-"""Limit on elapsed time until the child has loaded the library, seconds. On an idle machine loading takes 0.2 s."""
+"""Elapsed time in seconds that a child may take to import usd-core, which takes 0.2 s on an idle machine."""
 
 USD_IDLE_SECONDS = 60.0
-"""Seconds without a request after which an idle child ends."""
+"""Seconds without a request after which a child process that reads OpenUSD files ends."""
 
 _log = logging.getLogger("lumisplat")
 
 _START = "import sys; sys.path[:] = sys.argv[1:]; from lumisplat.io.usd.process import serve; serve()"
-"""Python program that the child runs. The child imports modules from the parent's path, never from the working folder.
-"""
+"""Python program of a child process. Modules are imported from the parent's path, never from the working folder."""
 
 _FORKS = hasattr(os, "fork") and sys.platform != "darwin"
-"""True if the child forks a process for each request. On macOS it does not, because system libraries do not survive a
-fork."""
+"""True if a child forks for each request, so that usd-core is imported once; False on macOS and Windows.
+
+On macOS system libraries do not survive a fork."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -560,8 +559,8 @@ def send(stream: BinaryIO, value: Any, number_of: Callable[[Any], int | None] | 
     Args:
         stream: The pipe.
         value: A picklable value. Each array becomes a separate byte string and is not copied.
-        number_of: Returns the number to send instead of an object that stays in this process; None for other objects.
-            None as the function sends all objects.
+        number_of: Returns a number for an object that stays in this process, which is sent in its place, and None for
+            all other objects. Without this function, no object stays.
     """
     data, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
     pickler = pickle.Pickler(data, 5, buffer_callback=buffers.append)
@@ -581,7 +580,7 @@ def receive(stream: BinaryIO, load: Callable[[int], Any] | None = None) -> Any:
 
     Args:
         stream: The pipe.
-        load: Returns the object for a number that `send` wrote instead of an object; None if there are none.
+        load: Returns the object for a number that `send` wrote in place of an object. Not needed without such numbers.
 
     Raises:
         EOFError: The pipe is closed.

@@ -73,7 +73,7 @@ class Remarks:
             names.append(name)
 
     def report(self) -> None:
-        """Logs all remarks as one warning; logs nothing if there are none."""
+        """Logs all lost features as one warning; logs nothing if there are none."""
         if not self.names:
             return
         messages = [remark + _listed(names) for remark, names in self.names.items()]
@@ -99,7 +99,7 @@ class UsdFile:
     """Transform from stage space to the world, which has y up and metres, shape (4, 4)."""
     remarks: Remarks
     layers: list[Any]
-    """Layers that this object keeps alive, because the USD library drops layers without references."""
+    """Layers that this object keeps alive, because usd-core drops layers without references."""
 
     @property
     def unit(self) -> float:
@@ -140,7 +140,7 @@ def _first_time(stage: Any) -> Any:
 
 
 def _world_from_stage(path: Path, stage: Any, remarks: Remarks) -> Doubles:
-    """Returns the transform from stage space to the world, shape (4, 4); remarks report a change of up axis or unit."""
+    """Returns the transform from stage space to the world, shape (4, 4); a change of up axis or unit is logged."""
     geom, matrix = pxr().UsdGeom, np.eye(4)
     axis = str(geom.GetStageUpAxis(stage))
     if axis not in ("Y", "Z"):
@@ -159,7 +159,7 @@ def _world_from_stage(path: Path, stage: Any, remarks: Remarks) -> Doubles:
 
 
 def _first_line(text: str, path: Path) -> str:
-    """Returns a message of the USD library on one line of at most 120 characters, without the file's path."""
+    """Returns a message of usd-core on one line of at most 120 characters, without the file's path."""
     text_line = " ".join(text.replace(os.fspath(path), "it").split())
     return text_line[:120]
 
@@ -524,7 +524,7 @@ class _Walk:
 
 
 def _is_unknown_field(prim: Any) -> bool:
-    """Returns whether a prim is a particle field of a type that this version of the USD library does not know."""
+    """Returns whether a prim is a particle field of a type that this version of usd-core does not know."""
     return str(prim.GetTypeName()).startswith("ParticleField") and not pxr().UsdGeom.Imageable(prim)
 
 

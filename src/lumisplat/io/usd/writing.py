@@ -362,7 +362,7 @@ def _write_package(writer: StageWriter) -> None:
 
 
 def _is_complete(package: Path, count: int) -> bool:
-    """Returns whether a .usdz package has ``count`` undamaged files; the library does not report a full disk."""
+    """Returns whether a .usdz package has ``count`` undamaged files; usd-core does not report a full disk."""
     try:
         with zipfile.ZipFile(package) as written:
             return len(written.infolist()) == count and written.testzip() is None
