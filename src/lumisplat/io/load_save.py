@@ -153,7 +153,7 @@ def load(
         lod: Level of detail for streamed SOGs and captures in blocks, also those in a ``scene.toml``: 0 is the finest;
             None is 0, or selected by ``budget``.
         budget: Load the finest level of detail with at most this many Gaussians, for streamed SOGs and captures in
-            blocks, which a log line names; None has no limit.
+            blocks; a log line names the level. None has no limit.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:

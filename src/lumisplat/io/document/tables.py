@@ -84,11 +84,12 @@ def _written(field: Field[Any], value: object) -> object:
 
 
 def _degrees(angle: float, rounded: int) -> float:
-    """Converts an angle to at most 90 degrees, such that `math.radians` gives exactly the same angle back if possible.
+    """Converts an angle to degrees, 0 to 90, so that `math.radians` gives exactly the same angle back if possible.
 
     Args:
         angle: Radians.
-        rounded: Allowed rounding of the angle that is read back: 0 to the nearest value, 1 only up, -1 only down.
+        rounded: If no number of degrees gives the same angle back: 0 takes the nearest, 1 the next larger, -1 the next
+            smaller angle.
     """
     near = [math.degrees(angle)]
     for end in (0.0, 90.0):

@@ -450,7 +450,7 @@ class _AnimationReader:
         return times[(times >= 0.0) & (times <= max(even[-1], self._clip.duration))]
 
     def _captures(self, nodes: list[int]) -> Iterator[Actor]:
-        """Yields an actor for each capture in ``nodes``, which are nodes that the animation moves."""
+        """Yields an actor for each capture of the nodes ``nodes``, which the animation moves."""
         captures = GltfCaptures(self._file, self._drop_invalid)
         moving = [index for index in nodes if captures.is_in(index)]
         times = self._times() if moving else np.zeros(0)

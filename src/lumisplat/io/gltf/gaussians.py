@@ -171,7 +171,7 @@ def _check_extension(primitive: GltfPrimitive) -> bool:
 
 
 def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
-    """Returns the stored scales of N Gaussians, shape (N, 3), and whether they are logarithms: any is negative."""
+    """Returns the stored scales of N Gaussians, shape (N, 3), and whether they are logarithms, as any is negative."""
     scales = _attribute(primitive, _SCALE, count)
     negative = int(np.count_nonzero(scales < 0.0))
     if negative:

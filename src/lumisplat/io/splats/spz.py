@@ -137,7 +137,7 @@ def _parse_spz_header(path: PathLike, data: bytes, versions: range, stored_bytes
 
 
 def _decode_sections(header: SpzHeader, sections: Sequence[Bytes]) -> SplatColumns:
-    """Decodes the sections to Gaussians, in the axes of the file.
+    """Decodes the six sections of an SPZ file (positions, alphas, ...) to Gaussians, in the axes of the file.
 
     Args:
         header: Header of the file.

@@ -48,7 +48,7 @@ SOG_LEAF_MIN = 8192
 """Number of Gaussians up to which a leaf may exceed `SOG_CHUNK_EXTENT`, because scene units may not be metres."""
 
 SOG_LEVEL_MIN = 20_000
-"""Smallest number of Gaussians in the coarsest level, unless the capture has fewer: few enough to load at once."""
+"""Coarser levels are added as long as they have at least this many Gaussians; a viewer loads the coarsest at once."""
 
 _log = logging.getLogger("lumisplat")
 

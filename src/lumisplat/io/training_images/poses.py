@@ -346,7 +346,7 @@ class ColmapRun:
 
 @dataclass(frozen=True, slots=True)
 class PoseReport:
-    """Figures about a COLMAP reconstruction from which wrong poses are recognised."""
+    """Numbers about a COLMAP reconstruction, by which `remarks` recognises wrong poses."""
 
     names: Sequence[str]
     """File names of all images, with and without a pose."""
@@ -369,7 +369,7 @@ class PoseReport:
 
     @classmethod
     def of(cls, names: Sequence[str], models: Sequence[Any]) -> PoseReport:
-        """Computes the figures of a reconstruction.
+        """Computes the numbers of the report from a COLMAP reconstruction.
 
         Args:
             names: Names of all images.

@@ -32,7 +32,7 @@ from lumisplat.errors import FormatError, LumisplatError, MissingExtraError
 from lumisplat.io.files.source import PathLike, check_regular, leaves_folder, may_leave_folder, references_outside
 
 USD_MEMORY = 3 * 2**28
-"""Memory in bytes that a child may take to read a file of 0 bytes; `USD_MEMORY_PER_BYTE` adds to it.
+"""Memory in bytes that a child process may take to read a file of 0 bytes; `USD_MEMORY_PER_BYTE` adds to it.
 
 usd-core and Warp take 0.2 GB."""
 
@@ -45,15 +45,15 @@ USD_MEMORY_PER_BYTE = 40
 Numbers of 8 characters become doubles, and usd-core holds three copies of them."""
 
 USD_CPU_SECONDS = 30
-"""Processor time in seconds that a child may take for a file of 0 bytes; `USD_CPU_SECONDS_PER_MEGABYTE` adds to it.
+"""Processor time in seconds that a child process may take for a file of 0 bytes.
 
-A crafted file with references nested 16 deep took minutes."""
+`USD_CPU_SECONDS_PER_MEGABYTE` adds to it. A crafted file with references nested 16 deep took minutes."""
 
 USD_CPU_SECONDS_PER_MEGABYTE = 1.0
 """Seconds added to a child's processor time limit for each 2^20 bytes of files. Reading 2^20 bytes takes 0.1 s."""
 
 USD_WALL_FACTOR = 10.0
-"""Elapsed time that a child may take, as a multiple of its processor time limit; large because machines may be busy."""
+"""Elapsed time that a child process may take, as a multiple of its processor time limit; large for busy machines."""
 
 USD_START_SECONDS = 300.0
 """Elapsed time in seconds that a child may take to import usd-core, which takes 0.2 s on an idle machine."""
@@ -74,7 +74,7 @@ On macOS system libraries do not survive a fork."""
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """Request to a child: the function to call, its arguments and its limits."""
+    """Request to a child process: the function to call, its arguments and its limits."""
 
     module: str
     function: str
@@ -129,7 +129,7 @@ def read_in_child(path: PathLike, function: Callable[..., Any], *arguments: Any)
 
 
 class Remote:
-    """A function of one argument that stays in the child. The parent receives a proxy, which calls it in the child.
+    """A function of one argument that stays in the child process; the parent gets a proxy that calls it there.
 
     Args:
         function: The function.
@@ -178,7 +178,7 @@ class _Child:
 
     @classmethod
     def acquire(cls) -> _Child:
-        """Returns an idle child, or starts one."""
+        """Returns an idle child process, or starts one."""
         with cls._lock:
             while cls._idle:
                 child = cls._idle.pop()
@@ -205,7 +205,7 @@ class _Child:
         self.end()
 
     def end(self) -> None:
-        """Kills the child process and its fork, and closes the pipes."""
+        """Kills the child process and the process that it forked, and closes the pipes."""
         with contextlib.suppress(OSError):
             if self._reader and self._reader != self._process.pid and self._process.poll() is None:
                 os.kill(self._reader, signal.SIGKILL)
@@ -303,21 +303,21 @@ class _Child:
         return call
 
     def _drop_remote(self) -> None:
-        """Releases the child when its last proxy is deleted."""
+        """Counts one proxy of a `Remote` less, and releases the child process after the last one."""
         self._remotes -= 1
         self.release()
 
 
 @atexit.register
 def _end_idle() -> None:
-    """Ends all idle children at exit."""
+    """Ends all idle child processes when the program exits."""
     for child in _Child._idle:  # pyright: ignore[reportPrivateUsage]
         child.end()
 
 
 @dataclass(frozen=True, slots=True)
 class _Limit:
-    """Limits on the memory and processor time of a child."""
+    """Limits on the memory and processor time that a child process may use to read a file."""
 
     memory: int
     """Memory in bytes."""
@@ -345,7 +345,7 @@ def _timer(seconds: float, end: Callable[[], None]) -> threading.Timer:
 
 
 def _death_error(path: Path, limit: _Limit, status: int) -> FormatError:
-    """Returns the error about a child that has died while it read ``path``.
+    """Returns the error about a child process that ended while it read ``path``: out of memory, time, or crashed.
 
     Args:
         path: The file.
@@ -401,7 +401,7 @@ class _Session:
     has_assets: bool = False
 
     def send(self, kind: str, value: Any) -> None:
-        """Sends a message to the parent."""
+        """Sends the parent a message: its kind, such as "result", and a value."""
         send(self.output, (kind, value), self._number)
 
     def _number(self, value: Any) -> int | None:
