@@ -1,6 +1,6 @@
 """Decimation: captures with fewer, larger Gaussians that look the same from a distance.
 
-Passes repeatedly merge the pairs of neighbours that lose the least (docs/adr/0027-decimation-by-merging.md).
+Each pass merges the pairs of neighbouring Gaussians with the least cost (docs/adr/0027-decimation-by-merging.md).
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.neighbours import morton_codes
 
 DECIMATE_NEIGHBOURS = 4
-"""Number of candidates for merging: the next Gaussians along a Morton curve in each direction. More candidates make
+"""Number of next Gaussians along the Morton curve, in each direction, with which a Gaussian may merge. More make
 passes slower and concentrate merging where it is cheap: 8 are 0.3 dB worse on the biker."""
 
 DECIMATE_COLOR_WEIGHT = 30.0
-"""Cost of merging two Gaussians whose colours differ by 1, relative to the cost of growing by a factor e. Results stay
-within 0.3 dB from 10 to 100."""
+"""Weight of the squared colour difference of two Gaussians, display values, in the cost of merging them, relative to
+the growth of their covariance. Results stay within 0.3 dB from 10 to 100."""
 
 DECIMATE_OPACITY_MIN = 1e-9
 """Smallest opacity from which masses are computed, because masses are weights and must not be 0."""
 
 ROWS, COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
-"""Row (`ROWS`) and column (`COLUMNS`) of the six entries of a packed symmetric matrix."""
+"""Row (`ROWS`) and column (`COLUMNS`) in a symmetric 3 x 3 matrix of its six packed entries xx, xy, xz, yy, yz, zz."""
 
 _DECIMATE_BLOCK = 2**13
 """Number of pairs whose costs are computed at once: about 60 doubles per pair fit into the CPU cache."""
@@ -40,18 +40,19 @@ _DECIMATE_BLOCK = 2**13
 _Indices = npt.NDArray[np.intp]
 
 _SHIFTS = np.array([0.8191725134, 0.6710436067, 0.5497004779])
-"""Offset of the Morton curve's origin per pass (R3 sequence), so that the seams between cells move."""
+"""Offset of the Morton curve's origin along x, y, z per pass (R3 sequence), so that cell borders do not separate the
+same neighbours in all passes."""
 
 
 class Moments(NamedTuple):
-    """Mass, mean and covariance of N Gaussians, one contiguous array for each axis or matrix entry."""
+    """Mass (opacity times area), mean and covariance of N Gaussians, axis by axis in contiguous arrays."""
 
     masses: Doubles
-    """Opacity times projected area (`areas`), above 0, shape (N,)."""
+    """Weight of each Gaussian in mixtures: opacity times projected area (`areas`), above 0, shape (N,)."""
     means: Doubles
     """Means, shape (3, N)."""
     covariances: Doubles
-    """Covariances, six packed entries each, shape (6, N)."""
+    """Covariances as six packed entries xx, xy, xz, yy, yz, zz, square scene units, shape (6, N)."""
 
     def at(self, rows: npt.NDArray[np.intp] | slice) -> Moments:
         """Returns the moments of the Gaussians that ``rows`` selects."""
@@ -69,7 +70,7 @@ def moments_of(gaussians: Gaussians) -> Moments:
 
 
 def areas(covariances: Doubles) -> Doubles:
-    """Returns the projected area of N Gaussians, root mean square over all directions, up to a constant, shape (N,).
+    """Returns N Gaussians' projected area, root mean square over all views, up to a constant factor, (N,).
 
     Along a unit vector n, the outline has the area pi sqrt(n^T adj(covariance) n). The mean of its square is a third of
     the adjugate's trace.
@@ -88,7 +89,7 @@ def log_determinants(covariances: Doubles) -> Doubles:
 
 
 def _mixture(first: Moments, second: Moments) -> Moments:
-    """Returns the moments of the mixtures of ``first`` and ``second``, Gaussian by Gaussian."""
+    """Returns N mixtures: mass, mean and covariance of Gaussian k of ``first`` and Gaussian k of ``second``."""
     masses = first.masses + second.masses
     share = second.masses / masses
     step = second.means - first.means
@@ -100,7 +101,7 @@ def _mixture(first: Moments, second: Moments) -> Moments:
 
 
 def mixtures(parts: Moments, labels: npt.NDArray[np.intp], count: int) -> Moments:
-    """Returns the moments of ``count`` mixtures; ``labels``, shape (N,), name the mixture of each of N parts."""
+    """Returns mass, mean and covariance of ``count`` mixtures; ``labels``, (N,), assign N Gaussians to them."""
     masses = np.bincount(labels, parts.masses, count).astype(np.float64, copy=False)
 
     def averages(values: Doubles) -> Doubles:
@@ -131,7 +132,7 @@ class _Pairs(NamedTuple):
 
 
 def _clusters(parts: Moments, colors: Doubles, count: int, progress: Callable[[float], None] | None) -> _Indices:
-    """Assigns N Gaussians to ``count`` clusters.
+    """Assigns N Gaussians to ``count`` clusters, each to become one Gaussian, by repeated merging of pairs.
 
     Args:
         parts: Moments of the Gaussians.
@@ -166,7 +167,7 @@ def _clusters(parts: Moments, colors: Doubles, count: int, progress: Callable[[f
 
 
 def _curve(means: Doubles, step: int) -> _Indices:
-    """Returns the order of the means along a Morton curve of cubic cells; pass ``step`` moves the curve's origin."""
+    """Returns the order of means, (3, N), along a Morton curve, whose origin moves with the pass number ``step``."""
     low, high = np.quantile(means, (0.001, 0.999), axis=1)
     extent = max(float((high - low).max()), np.finfo(np.float32).tiny)
     # The capture fills half of the cube along each axis, and shifts within it from pass to pass.
@@ -175,7 +176,7 @@ def _curve(means: Doubles, step: int) -> _Indices:
 
 
 def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
-    """Returns pairs of Gaussians that are each other's cheapest merging candidate along the curve."""
+    """Returns pairs of Gaussians, sorted along the Morton curve, of which each is the other's cheapest partner."""
     count = parts.masses.size
     numbers = np.arange(count)
     best, partner = np.full(count, np.inf), np.full(count, -1, np.intp)
@@ -198,7 +199,10 @@ def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
 
 
 def _costs(parts: Moments, logs: Doubles, colors: Doubles, own: slice, other: slice) -> Doubles:
-    """Returns the cost of merging each Gaussian of the slice ``own`` with its counterpart in the slice ``other``."""
+    """Returns the cost of merging Gaussian k of the slice ``own`` with Gaussian k of the slice ``other``.
+
+    It grows with covariance and colour difference. ``logs`` are the logarithms of the N covariances' determinants.
+    """
     first, second = parts.at(own), parts.at(other)
     merged = _mixture(first, second)
     # Runnalls 2007, equation 16: upper bound of the Kullback-Leibler divergence of shapes, times the mass.
@@ -276,7 +280,7 @@ def decimate(gaussians: Gaussians, count: int, *, progress: Callable[[float], No
 
 
 def _unit_or_thin_axis(normals: Doubles, rotations: Doubles) -> Doubles:
-    """Normalises averaged normals; a normal of length 0 becomes the Gaussian's thinnest axis, which is its first."""
+    """Normalises averaged normals, (N, 3); those of length 0 become the Gaussian's first axis, its thinnest."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     thin = matrices_from_quaternions(rotations)[:, :, 0]
     return np.where(lengths > 1e-3, normals / np.maximum(lengths, 1e-3), thin)

@@ -20,41 +20,45 @@ from lumisplat.scene.placing import UP_AXES, Vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
 
 _SAMPLES = 8_000
-"""Number of sampled Gaussians on which candidate ground planes are evaluated."""
+"""Approximate number of Gaussians of a scene, every n-th, on which the search for its ground works."""
 _PLANES = 1_500
-"""Number of candidate planes. Each goes through a random Gaussian and two nearby ones of `_DRAWN` further random
-draws."""
+"""Number of random planes tried as the ground. Each goes through a random Gaussian and the second and third nearest of
+`_DRAWN` further random ones."""
 _DRAWN = 8
 _THICKNESS = 0.012
-"""Half the thickness of a ground plane, relative to the size of the capture."""
+"""Distance from a ground plane, relative to the size of the capture, up to which Gaussians belong to the ground."""
 _CLEAR = 0.2
-"""Height above a ground plane, relative to the size of the capture, that must be free over most of the plane."""
+"""Height of the space above a ground plane, relative to the capture's size, that must be free over part of the plane
+(`_OPEN_LEAST`)."""
 _OPEN_LEAST = 0.3
 """Smallest fraction of a ground plane's area with free space above it. It rejects the back of a lying guitar, whose
 front occupies that space."""
 _GROUND_LEAST = 0.06
-"""Smallest fraction of the visible weight that a ground plane contains."""
+"""Smallest fraction of the scene's visible weight (opacity times area) within `_THICKNESS` of a plane that is a
+ground."""
 _FLAT_LEAST = 0.6
-"""Of the weight within twice a plane's thickness, the smallest fraction within its single thickness; a slice of a wall
-has half."""
+"""Smallest ratio of the weight within `_THICKNESS` of a ground plane to that within twice this distance: on a flat
+ground it is near 1, in a slice of a wall 0.5."""
 _BELOW_MOST = 0.12
-"""Largest fraction of the visible weight below a ground plane."""
+"""Largest fraction of the scene's visible weight (opacity times area) below a ground plane."""
 _NEAR_STATED = math.cos(math.radians(50.0))
-"""Cosine of the largest angle between a ground's normal and the up direction that a file states."""
+"""Smallest cosine, of 50 degrees, between a ground's normal and the up direction that the scene or a capture states."""
 _CELLS = (4, 24)
-"""Smallest and largest number of cells along a ground's longer side for measuring its area; `_CELL_POINTS` sets the
-number in between."""
+"""Smallest and largest number of cells along the longer side of a ground, in which free space above it is tested;
+`_CELL_POINTS` sets the number in between."""
 _CELL_POINTS = 8
-"""Approximate number of a ground's points per cell."""
+"""Wanted mean number of the ground's sampled Gaussians per cell of the test for free space."""
 _UPRIGHT = math.cos(math.radians(5.0))
-"""Cosine of the tilt below which a capture without a ground stays as it is: principal axes are no more accurate."""
+"""Without a ground, a guessed up direction whose cosine to the principal axis is above this, that is less than 5
+degrees off, is kept: principal axes are no more accurate."""
 _APART = 1.2
-"""Smallest ratio between a capture's extent along a principal axis and along the others for the axis to be distinct."""
+"""A principal axis is distinct if the extent along it and each other extent differ by at least this factor."""
 _LONG, _STANDS = 1.7, math.cos(math.radians(70.0))
-"""Ratio of the longest to the second extent above which an object is long (`_LONG`), and cosine of the largest angle
-between its long axis and the guessed up direction at which it stands and does not lie (`_STANDS`)."""
+"""An object is long if its longest extent exceeds the second by the factor `_LONG`. It stands, and does not lie, if
+the cosine between its long axis and the guessed up direction exceeds `_STANDS`."""
 _SIDE = 0.65
-"""Fraction of the visible weight on one side of a plane through given ground points, above which that side is up."""
+"""If more than this fraction of the visible weight is on one side of the plane through given ground points, that side
+is up; otherwise the guess decides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,33 +68,35 @@ class UpEstimate:
     up: Vector
     """Unit vector that points up, world space."""
     source: Literal["ground", "points", "axes", "stated"]
-    """Evidence for ``up``: a ground plane, given points, principal axes along which the scene is longest or shortest,
-    or else the direction that the scene or a capture states."""
+    """What ``up`` is based on: ``ground`` plane, given ``points``, principal ``axes`` of the capture, or ``stated``,
+    the direction that the scene or a capture stores."""
     height: float | None = None
-    """Height of the ground or of the given points along ``up``, scene units; None if there is no ground."""
+    """Coordinate along ``up`` of the ground, or of the given points' mean, scene units; None without a ground."""
     share: float | None = None
-    """Fraction of the visible weight that lies in the ground, 0..1; None if there is no ground."""
+    """Fraction of the visible weight (opacity times area) within the ground plane, 0..1; None unless ``source`` is
+    ground."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Cloud:
-    """Sample of a scene's Gaussians, with visibility weights that sum to 1."""
+    """Sample of a scene's Gaussians as points, with weights (opacity times area) that sum to 1."""
 
     points: Doubles
     weights: Doubles
     size: float
-    """Diagonal of the box around the middle 90 % along each axis, scene units."""
+    """Diagonal of the box that holds the middle 90 % of the weight along each axis, scene units."""
 
 
 def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
     """Estimates the up direction of a scene of captures.
 
-    The ground is the plane with most visible weight in it, little below it, free space above most of it, and the rest
-    standing on it (random sample consensus, Fischler and Bolles 1981, then least squares). It is at most 50 degrees off
-    an up direction that the scene or a capture states; a guessed up direction only decides between equally good planes.
-    Without a ground, a stated direction is returned. Otherwise up is a principal axis along which the scene is clearly
-    longer or shorter than along the others: the axis along which a long object stands, or else the axis nearest to the
-    guess. A guess that is less than 5 degrees off is returned unchanged.
+    The ground is the plane that contains most of the visible weight (opacity times area), with little weight below,
+    much weight standing on it, and free space above at least part of it (random sample consensus, Fischler and Bolles
+    1981, then least squares). It is at most 50 degrees off an up direction that the scene or a capture states; a
+    guessed up direction only decides between equally good planes. Without a ground, a stated direction is returned. If
+    none is stated, `Scene.up_direction` is a guess, and up is the principal axis nearest to it among those along which
+    the scene is clearly longer or shorter than along the others; a long object that stands gets its long axis. If the
+    guess is less than 5 degrees from this axis, the guess itself is returned.
 
     Args:
         scene: Scene with captures.
@@ -115,7 +121,7 @@ def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
 
 
 def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussians:
-    """Rotates a capture about the origin so that its up direction is an axis, and stores that axis as ``up``.
+    """Rotates a capture about its origin so that its up direction is a coordinate axis, and stores it as ``up``.
 
     The axis is the one nearest to the up direction that the capture states; for a capture that states none, y down, as
     in most captures. The first view rotates with the capture.
@@ -157,7 +163,7 @@ def _weighted(instance: SplatInstance) -> tuple[Doubles, Doubles]:
 
 
 def _weighted_quantiles(values: Doubles, weights: Doubles) -> tuple[float, float]:
-    """Returns the smallest and largest value of the middle 90 % of the weight."""
+    """Returns the values below and above which 5 % of the weight lie."""
     order = np.argsort(values)
     rows = np.searchsorted(np.cumsum(weights[order]), (0.05, 0.95)).clip(0, len(values) - 1)
     low, high = values[order][rows]
@@ -165,7 +171,10 @@ def _weighted_quantiles(values: Doubles, weights: Doubles) -> tuple[float, float
 
 
 def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None:
-    """Returns the up direction of the best ground plane; None if no plane qualifies as ground."""
+    """Returns the up direction of the best ground plane; None if no plane qualifies.
+
+    ``guess`` is `Scene.up_direction`: if ``stated``, normals must be near it, else it only weighs similar planes.
+    """
     thickness = _THICKNESS * cloud.size
     normals, offsets = _planes(cloud)
     normals, offsets = _facing_the_rest(cloud, normals, offsets, thickness)
@@ -187,7 +196,7 @@ def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None
 
 
 def _planes(cloud: _Cloud) -> tuple[Doubles, Doubles]:
-    """Returns M planes through triples of nearby points: unit normals, shape (M, 3), and offsets, shape (M,)."""
+    """Returns M <= `_PLANES` planes ``normal . x = offset`` through random near points: (M, 3) and (M,)."""
     rng = np.random.default_rng(0)
     count = len(cloud.points)
     first = rng.choice(count, _PLANES, p=cloud.weights)
@@ -203,7 +212,7 @@ def _planes(cloud: _Cloud) -> tuple[Doubles, Doubles]:
 
 
 def _facing_the_rest(cloud: _Cloud, normals: Doubles, offsets: Doubles, thickness: float) -> tuple[Doubles, Doubles]:
-    """Flips planes so that their normals point to the side of the plane with more weight."""
+    """Flips M planes so that normals point to the side with more weight beyond ``thickness``; returns both arrays."""
     above = _share_beyond(cloud, normals, offsets + thickness)
     below = _share_beyond(cloud, -normals, -offsets + thickness)
     signs = np.where(above >= below, 1.0, -1.0)
@@ -211,7 +220,7 @@ def _facing_the_rest(cloud: _Cloud, normals: Doubles, offsets: Doubles, thicknes
 
 
 def _share_beyond(cloud: _Cloud, normals: Doubles, offsets: Doubles) -> Doubles:
-    """Returns the fraction of the weight on the normal's side of each of M planes, shape (M,)."""
+    """Returns the fraction of the weight at ``normal . x > offset`` of each of M planes, shape (M,)."""
     shares = np.empty(len(normals))
     for start in range(0, len(normals), 64):
         rows = slice(start, start + 64)
@@ -221,7 +230,7 @@ def _share_beyond(cloud: _Cloud, normals: Doubles, offsets: Doubles) -> Doubles:
 
 
 def _checked(cloud: _Cloud, normal: Doubles, offset: float, thickness: float) -> UpEstimate | None:
-    """Refits a plane by least squares and returns its up direction; None if the plane does not qualify as ground."""
+    """Refits a candidate plane by least squares; returns it as the ground, or None if it does not qualify."""
     for width in (2.0, 1.5, 1.0, 1.0):
         heights = cloud.points @ normal - offset
         near = np.abs(heights) < width * thickness
@@ -249,7 +258,15 @@ def _checked(cloud: _Cloud, normal: Doubles, offset: float, thickness: float) ->
 
 
 def _is_open(cloud: _Cloud, normal: Doubles, heights: Doubles, inside: Flags, thickness: float) -> bool:
-    """Returns whether a plane is wide in both directions and has free space above most of it."""
+    """Returns whether a ground is wide in both directions and, over `_OPEN_LEAST` of it, free of points above.
+
+    Args:
+        cloud: Sampled points of the scene.
+        normal: Unit normal of the ground.
+        heights: Height of each point above the ground, shape (N,).
+        inside: True for points of the ground, shape (N,).
+        thickness: Half the thickness of the ground, scene units.
+    """
     across = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     across /= np.linalg.norm(across)
     flat = cloud.points @ np.stack([across, np.cross(normal, across)], axis=1)
@@ -266,7 +283,7 @@ def _is_open(cloud: _Cloud, normal: Doubles, heights: Doubles, inside: Flags, th
 
 
 def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEstimate:
-    """Returns the up direction of the plane through given ground points, shape (N, 3).
+    """Returns the normal of the plane through given ground points, (N, 3), on the side of most weight or ``guess``.
 
     Raises:
         SceneError: The points are fewer than three, not finite, or collinear.
@@ -290,7 +307,9 @@ def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEsti
 
 
 def _own_axis(cloud: _Cloud, guess: Doubles) -> Vector:
-    """Returns the capture's distinct principal axis nearest to the guessed up direction, on the guess's side.
+    """Returns the distinct principal axis nearest to ``guess``, a long standing object's long axis, or ``guess``.
+
+    The axis points to the side of the guess; a guess less than 5 degrees off is returned itself.
 
     Raises:
         SceneError: The capture has no distinct axis.

@@ -15,11 +15,11 @@ from lumisplat.scene.checks import check_argument, check_positive, check_whole
 from lumisplat.scene.gaussians import Gaussians
 
 FLOATER_NEIGHBOURS = 4
-"""Smallest number of neighbours at which a Gaussian is no floater."""
+"""Default number of other Gaussians that must be near a Gaussian for `remove_floaters` to keep it."""
 
 FLOATER_REACH = 3.0
-"""Radius of a Gaussian's neighbourhood in units of its largest scale, or of the capture's median largest scale if that
-is more: about where a Gaussian's visible footprint ends."""
+"""Default radius within which `remove_floaters` counts other Gaussians, in units of the Gaussian's largest scale, or
+of the capture's median largest scale if that is more: about where its visible footprint ends."""
 
 Range = tuple[float | None, float | None]
 """Smallest and largest value to keep; None: no limit."""
@@ -28,7 +28,7 @@ Box = tuple[npt.ArrayLike, npt.ArrayLike]
 Sphere = tuple[npt.ArrayLike, float]
 
 _BLOCK = 2**16
-"""Number of Gaussians that are searched between two progress reports."""
+"""Number of Gaussians whose neighbours `remove_floaters` searches between two progress reports."""
 
 
 def _remaining(gaussians: Gaussians, kept: npt.NDArray[np.bool_]) -> Gaussians:
@@ -68,7 +68,7 @@ def select(
         opacity: Opacity, 0..1.
         scale_min: Smallest of the three standard deviations, scene units.
         scale_max: Largest of the three standard deviations, scene units.
-        x: Coordinate of the mean in the capture's space, scene units.
+        x: Coordinate of the mean plus the capture's ``origin``, scene units; y and z likewise.
         y: Coordinate of the mean, scene units.
         z: Coordinate of the mean, scene units.
         red: Mean colour over all directions, display-referred, 0..1 or slightly outside.
@@ -146,8 +146,9 @@ def crop(
 
     Args:
         gaussians: Capture.
-        box: Two opposite corners in the capture's coordinates, shape (3,) each, in either order.
-        sphere: Centre, shape (3,), and radius, above 0, scene units.
+        box: Two opposite corners, shape (3,) each, in either order, in coordinates that include the capture's
+            ``origin``.
+        sphere: Centre, in the same coordinates, shape (3,), and radius, above 0, scene units.
         outside: Keep the Gaussians outside instead.
 
     Returns:
@@ -207,7 +208,7 @@ def remove_floaters(
     Args:
         gaussians: Capture.
         neighbours: Smallest number of other Gaussians around a Gaussian that is kept, 1 or more.
-        reach: Distance in scales, above 0.
+        reach: Distance within which others count, in the scales named above, above 0.
         progress: Called with the fraction done, 0..1.
 
     Returns:

@@ -1,6 +1,6 @@
 """Transforms captures (means, shapes and SH), merges them, and changes their SH degree.
 
-Placed instances scale uniformly; `under_affine` also stretches, shears and mirrors, as files of scenes may demand.
+`transform` scales uniformly, as instances do; `under_affine` also stretches, shears and mirrors, for scene files.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lumisplat.scene.scene import check_similarity
 _Vector = npt.ArrayLike
 
 _BLOCK = 2**16
-"""Number of Gaussians whose axes are decomposed at once."""
+"""Number of Gaussians whose stretched covariances `under_affine` decomposes at once, to limit memory."""
 
 
 def transform(

@@ -32,69 +32,73 @@ _log = logging.getLogger("lumisplat")
 _Placed = TypeVar("_Placed", SplatInstance, MeshInstance)
 
 _SIZES = (0.02, 0.75)
-"""Smallest and largest diagonal of an object, relative to the captures' diagonal, at which object and captures are
-assumed to have the same unit.
+"""Smallest and largest ratio of an object's diagonal to the captures' at which the object keeps its size; outside,
+both are assumed to have different units.
 """
 _SIZE_IN_VIEW = 0.4
-"""Replaces the largest relative diagonal of `_SIZES` if a capture stores a first view, because a larger object would
-hide the view's subject."""
+"""Largest ratio of an object's diagonal to the scene's at which it keeps its size, if a capture stores a first view: a
+larger object would hide the view's subject."""
 _OWN_SIZE = 0.25
-"""Diagonal, relative to the captures', to which objects in other units are scaled, so that they do not fill the image.
+"""Ratio of diagonals, object to captures, to which objects in other units are scaled: they should not fill the image.
 """
 _CELLS_ACROSS = 6
-"""Number of ground cells across the wider side of an object."""
+"""Number of cells of the ground grid across the wider side of an inserted object's footprint."""
 _REACH = 64
-"""Number of cells that are searched for free space in each direction from the start: ten times the object's width."""
+"""Number of grid cells in each direction from the start in which a free position is searched: ten times the object's
+width."""
 _COVERED = 0.5
-"""Coverage from which a cell counts as covered: at 0.5, the height that is found is the median visible depth."""
+"""Coverage by Gaussians, summed from one side, at which a grid cell's surface is reached: 0.5 gives the median visible
+depth."""
 _SPACINGS = 1.5
-"""Smallest cell size, in mean distances between the scene's points, as if they were spread evenly over the ground."""
+"""Smallest side of a grid cell, in mean distances between the scene's points if they were spread evenly over the
+ground."""
 _MESH_POINTS = 400_000
-"""Number of points sampled on all meshes of a scene, at most a twentieth of them on one mesh."""
+"""Number of points sampled on all meshes of a scene together; at most a twentieth of them on one mesh."""
 _OUTWARDS = 0.4
-"""Mean cosine between normals and directions from the centre above which a capture is an object and not a room; most
-objects have 0.5 or more."""
+"""Mean cosine between a capture's normals and the directions from its centre, above which it is an object and no room;
+most objects have 0.5 or more."""
 _UPRIGHT = 0.2
-"""Smallest area with which a mesh triangle covers the ground, relative to the triangle's area, so that walls, whose
-projected area is 0, still block cells."""
+"""Lower bound of a mesh triangle's projected area on the ground, relative to its area: walls, whose projection is 0,
+must still block cells."""
 _CLIMBS = 3
-"""Number of steps, each at most the height of the object, in which the ground rises from the underside of a thick
+"""Number of steps, each at most the object's height, by which a found ground may rise from the underside of a thick
 floor to its top."""
 _LAYER = 0.1
-"""Thickness of the ground, in object heights: what lies less than this above the ground, such as grass, blocks
-nothing."""
+"""Height above the ground, in object heights, below which Gaussians, such as grass, block nothing."""
 _BLOCKED = 0.05
-"""Largest mean coverage between the ground and the object's height at which a position counts as free."""
+"""Largest mean coverage of an object's footprint by obstacles, from the ground to the object's height, at which the
+place counts as free."""
 _MARGIN = 0.25
-"""Free margin on each side of an object, relative to its footprint, so that it stands beside furniture and not between
-the furniture's legs."""
+"""Free margin on each side of an object, relative to its footprint, that a preferred position has: the object should
+stand beside furniture and not between its legs."""
 _OPEN = 2.0
-"""Preferably free height above the ground, in object heights, in a scene with a ceiling: an object should not stand
-under a table."""
+"""Height above the ground, in object heights, that is free at a preferred position in a scene with a ceiling: an
+object should not stand under a table."""
 _ROOFED = 0.5
-"""Fraction of ground cells with an obstacle at any height above them, from which the scene counts as having a ceiling.
-"""
+"""A scene has a ceiling if more than this fraction of its ground cells have an obstacle somewhere above."""
 _KNOWN = 0.75
-"""Smallest fraction of an object's footprint in which the captures show ground."""
+"""Smallest fraction of an object's footprint over cells in which ground was found."""
 _WIDE = 0.25
-"""Smallest area of a connected free region, relative to the largest free region: it excludes the inside of cupboards.
+"""Smallest area of a connected free region of the ground, relative to the largest one, in which objects are placed: it
+excludes the inside of cupboards.
 """
 _FLOOR = 0.1
-"""Fraction of ground cells that may lie below the floor: the floor height is this quantile of the ground's heights."""
+"""Quantile of the ground cells' heights that is taken as the height of the floor."""
 _RISE = 0.5
-"""Largest height of the ground above the floor, in object heights; higher surfaces do not count as ground."""
+"""Largest height of a ground cell above the floor, in object heights; higher surfaces, such as tables, are no ground.
+"""
 _SCENE_OF_VIEW = 2.5
-"""Diagonal that a first view's subject is assumed to have, in focus distances of the view: the background, such as a
-sky, says nothing about the subject's size."""
+"""Upper bound of the scene's size, in focus distances of a capture's first view: a distant background, such as a sky,
+says nothing about the subject's size."""
 _BEFORE = 0.8
-"""Distance from the eye, in focus distances, of an object inserted into a first view that shows no ground."""
+"""View depth, in focus distances, at which an object is inserted into a first view that shows no ground."""
 _ASIDE_IN_VIEW = 0.12
 _LOW_IN_VIEW = 0.36
-"""Offset of an inserted object's foot from the image centre if the first view shows no ground: `_ASIDE_IN_VIEW` image
-widths to the right, `_LOW_IN_VIEW` image heights down."""
+"""Where the foot of an inserted object appears in a first view that shows no ground: `_LOW_IN_VIEW` image heights
+below the centre, and `_ASIDE_IN_VIEW` image widths to its right."""
 _ASIDE = 0.5
-"""Bonus for positions to the front and right of the start, relative to their distance from it: an object there is
-visible and hides little.
+"""Preference for positions to the front and right of the start: their cost, the distance from the start, is reduced by
+up to this fraction; an object there is visible and hides little.
 """
 
 
@@ -121,7 +125,7 @@ def stand_on_ground(instance: _Placed, height: float = 0.0, *, up: str | npt.Arr
 
 
 def lowest(instance: SplatInstance | MeshInstance, up: str | npt.ArrayLike) -> float:
-    """Returns the height of an instance's lowest point along ``up``; captures ignore their lowest 2 % of opacity."""
+    """Returns the smallest coordinate along ``up`` of a mesh's vertices, or of a capture less 2 % of its opacity."""
     upward = np.array(up_vector(up))
     if isinstance(instance, SplatInstance):
         return bulk_extent(instance.world_means @ upward, instance.gaussians.opacities)[0]
@@ -131,28 +135,28 @@ def lowest(instance: SplatInstance | MeshInstance, up: str | npt.ArrayLike) -> f
 
 @dataclass(frozen=True)
 class Insertion:
-    """Automatic placement of an object in captures."""
+    """Position, size and orientation that `insert` chooses for an object in a scene of captures."""
 
     world_from_asset: Doubles
     """Similarity transform from the object's file to world space, shape (4, 4)."""
     scale: float
-    """Scale factor of the transform."""
+    """Uniform scale factor that ``world_from_asset`` contains; 1 keeps the object's size."""
     where: str
-    """Phrase for messages on what the object stands on, or why there is no ground under it."""
+    """Words of the log line that tell what the object stands on, such as ``on the ground``, or why on nothing."""
     size: float = 1.0
-    """Diagonal of the object in its file, relative to the scene's diagonal."""
+    """Diagonal of the object, as its file gives it, over the scene's diagonal; 0 if the caller gave the scale."""
     fits: bool = False
-    """True if the scale was chosen automatically, because object and scene seem to have different units."""
+    """True if the object was scaled automatically, because its file and the scene seem to have different units."""
 
     @property
     def scaling(self) -> str:
-        """Automatic scale and its reason, as the end of a message; empty if the object keeps its size."""
+        """Words of the log line about automatic scaling and its reason; empty if the object keeps its size."""
         if not self.fits:
             return ""
         return f", scaled to fit, as its file makes it {self.size:.3g} times as large as the scene"
 
     def __str__(self) -> str:
-        """Returns the keys of a scene file that place the object like this."""
+        """Returns the TOML keys ``upright``, ``position`` and ``scale`` that place the object so in a scene file."""
         position = ", ".join(f"{value:.4g}" for value in self.world_from_asset[:3, 3])
         scale = f", scale = {self.scale:.4g}" if self.scale != 1.0 else ""
         return f"upright = true, position = [{position}]{scale}"
@@ -243,7 +247,7 @@ def insertion(
 
 
 def _points(asset: MeshInstance | SplatInstance) -> Doubles:
-    """Returns points that enclose an object, at the coordinates of its file, shape (N, 3): vertices or box corners."""
+    """Returns points whose bounding box is the object's, in its file's coordinates, (N, 3): vertices or box corners."""
     if isinstance(asset, MeshInstance):
         return transform_points(asset.transform, asset.mesh.positions[np.unique(asset.mesh.indices)])
     low, high = Scene(splats=(asset,)).bulk_bounds()
@@ -252,29 +256,32 @@ def _points(asset: MeshInstance | SplatInstance) -> Doubles:
 
 @dataclass(frozen=True)
 class _VisibleScene:
-    """Points and bounds of a scene in view coordinates: x to the right, y up, z to the front."""
+    """Gaussians and mesh points of a scene, and its bounds, rotated to axes x right, y up and z to the viewer."""
 
     means: Doubles
-    """Means of Gaussians, and sample points on meshes, view coordinates, shape (N, 3)."""
+    """Means of Gaussians, then points sampled on meshes, axes x right, y up, z to the front, scene units, shape (N,
+    3)."""
     areas: Doubles
-    """Projected area on the ground times opacity of each Gaussian or sample point, shape (N,)."""
+    """Area that each Gaussian (times opacity) or mesh point covers on the ground plane, square scene units, shape
+    (N,)."""
     solid: Flags
-    """True for points of solid objects such as closed meshes, which block the whole space below them, shape (N,)."""
+    """True for points of closed meshes and of captures of objects, which block all space below them, shape (N,)."""
     low: Doubles
-    """Lower corner of the box around the bulk of the captures, shape (3,); without captures, around the meshes."""
+    """Lower corner of the box around the captures, less 2 % of opacity at each end, shape (3,); without captures,
+    around the meshes."""
     high: Doubles
     view: Camera | None
-    """First view that a capture stores, in view coordinates; None if no capture stores one."""
+    """First view of the first capture that stores one, rotated like ``means``; None if no capture stores one."""
 
     @property
     def size(self) -> float:
-        """Diagonal of the box from ``low`` to ``high``, or of the first view's subject if that is less; above 0."""
+        """Diagonal of the scene's box, at most `_SCENE_OF_VIEW` focus distances of the first view; above 0."""
         diagonal = max(float(np.linalg.norm(self.high - self.low)), 1e-12)
         return diagonal if self.view is None else min(diagonal, _SCENE_OF_VIEW * (self.view.focus_distance or np.inf))
 
     @classmethod
     def of(cls, scene: Scene, rotation: Doubles) -> _VisibleScene:
-        """Collects the points of a scene; ``rotation``, shape (3, 3), takes world directions to view coordinates."""
+        """Collects a scene's points; ``rotation``, (3, 3), takes the world to axes x right, y up, z to the front."""
         means: list[Doubles] = []
         areas: list[Doubles] = []
         ends: list[list[tuple[float, float]]] = []
@@ -311,9 +318,10 @@ class _VisibleScene:
 
 
 def _surface(instance: MeshInstance, count: int, rotation: Doubles) -> tuple[Doubles, Doubles]:
-    """Samples ``count`` points on a placed mesh; returns positions, shape (count, 3), and projected areas, (count,).
+    """Samples points on a placed mesh; returns rotated positions, (count, 3), and areas on the ground, (count,).
 
-    Upright triangles count with `_UPRIGHT` of their area. A mesh without area returns its vertices, with area 0.
+    The area on the ground is at least `_UPRIGHT` of a triangle's own, so that walls count. A mesh without area returns
+    its vertices, with area 0.
     """
     mesh = instance.mesh
     world = transform_points(instance.transform, mesh.positions) @ rotation.T
@@ -341,7 +349,7 @@ def _faces_outwards(capture: SplatInstance) -> bool:
 
 
 def _is_closed(mesh: Mesh) -> bool:
-    """Returns whether a mesh's triangles face outwards and enclose a tenth of its bounding box, as an object's do."""
+    """Returns whether a mesh encloses a tenth of its bounding box: its triangles face outwards, as an object's do."""
     positions = mesh.positions.astype(np.float64)
     corners = (positions - positions.mean(axis=0))[mesh.indices]
     x, y, z = (float(extent) for extent in np.ptp(positions, axis=0))
@@ -349,11 +357,11 @@ def _is_closed(mesh: Mesh) -> bool:
 
 
 def _choose_position(visible: _VisibleScene, own: Doubles, size: Doubles) -> tuple[Doubles, float, str]:
-    """Returns x and z of an inserted object's centre, shape (2,), the height of its foot, and `Insertion.where`.
+    """Chooses x and z of an object's centre, shape (2,), and the height of its foot; returns `Insertion.where`, too.
 
     Args:
-        visible: Points of the scene.
-        own: x and z of the centre at the object's unchanged coordinates, shape (2,).
+        visible: Points of the scene, y up.
+        own: x and z of the object's centre in its file, shape (2,), where it stays if it can.
         size: Size of the object's bounding box, shape (3,).
     """
     low, high, footprint = visible.low[[0, 2]], visible.high[[0, 2]], size[[0, 2]]
@@ -395,7 +403,7 @@ def _choose_position(visible: _VisibleScene, own: Doubles, size: Doubles) -> tup
 
 
 def _before(visible: _VisibleScene, view: Camera) -> tuple[Doubles, float]:
-    """Returns a foot position low in the first view, nearer than its subject: x and z, shape (2,), and height."""
+    """Returns a foot position, (x, z), and y, low in the first view's image and nearer than the view's subject."""
     right, down, forward = view.camera_from_world[:3, :3]
     slope = forward + _ASIDE_IN_VIEW * view.width / view.fx * right + _LOW_IN_VIEW * view.height / view.fy * down
     foot = view.eye + _BEFORE * view.focus_distance * slope
@@ -403,9 +411,10 @@ def _before(visible: _VisibleScene, view: Camera) -> tuple[Doubles, float]:
 
 
 def _start(visible: _VisibleScene, own: Doubles) -> Doubles:
-    """Returns x and z, shape (2,), at which the search for a free position starts.
+    """Returns x and z, shape (2,), of the point from which the nearest free position for an object is searched.
 
-    The start is the object's unchanged position, or a point ahead in the first view if the object is not visible there.
+    It is the object's own position ``own`` if that is inside the scene and, if there is a first view, visible in it.
+    Else it is a point straight ahead in the first view, or without one the scene's centre.
     """
     middle = 0.5 * (visible.low + visible.high)
     inside = bool(((visible.low[[0, 2]] <= own) & (own <= visible.high[[0, 2]])).all())
@@ -420,9 +429,10 @@ def _start(visible: _VisibleScene, own: Doubles) -> Doubles:
 
 
 def _in_view(visible: _VisibleScene, positions: Doubles, heights: Doubles) -> Flags:
-    """Returns which positions lie well inside the first view, shape (...).
+    """Returns which positions lie well inside the image of the captures' first view, shape (...).
 
-    Positions far behind the view's subject count as hidden. Without a first view, all positions count as visible.
+    Positions beyond 1.2 focus distances, behind the view's subject, count as hidden. Without a first view, all
+    positions count as visible.
 
     Args:
         visible: Points of the scene.
@@ -449,10 +459,10 @@ def _ground(
     two.
 
     Args:
-        visible: Points of the scene.
+        visible: Points of the scene, y up.
         corner: x and z of the first cell's corner, shape (2,).
         cell: Side length of a cell.
-        height: Height of the object that is to stand there.
+        height: Height of the object that is to stand on the ground, scene units.
 
     Returns:
         Ground heights, NaN where there is no ground, shape (C, C) with C = 2 `_REACH` + 1; and a function that returns
@@ -495,7 +505,7 @@ def _ground(
 
 
 def _wide(free: Flags) -> Flags:
-    """Returns a mask of the connected free regions that have at least `_WIDE` of the largest region's area."""
+    """Returns a mask of the cells in connected free regions of at least `_WIDE` of the largest region's area."""
     label = np.where(free, np.arange(1, free.size + 1).reshape(free.shape), 0)
     while True:
         around = np.pad(label, 1)
@@ -510,11 +520,11 @@ def _wide(free: Flags) -> Flags:
 
 
 def _first_covered(number: Rows, covers: Doubles, count: int) -> Rows:
-    """Returns for each cell the first point at which the cell's coverage reaches `_COVERED`, or -1 if it never does.
+    """Returns per cell the index of the first point at which summed coverage reaches `_COVERED`; -1: never.
 
     Args:
         number: Cell of each point; points must be grouped by cell.
-        covers: Coverage that each point adds.
+        covers: Fraction of its cell that each point covers.
         count: Number of cells.
     """
     sums = np.cumsum(covers)
@@ -527,7 +537,7 @@ def _first_covered(number: Rows, covers: Doubles, count: int) -> Rows:
 
 
 def _box_mean(values: Doubles, half: Rows) -> Doubles:
-    """Returns the mean of ``values`` over 2 ``half`` + 1 cells per axis around each cell; cells outside count as 0."""
+    """Returns ``values``' mean over 2 ``half`` + 1 cells per axis around each cell; cells outside count as 0."""
     rows, columns = (int(number) for number in half)
     padded = np.pad(values, ((rows + 1, rows), (columns + 1, columns)))
     sums = padded.cumsum(axis=0).cumsum(axis=1)

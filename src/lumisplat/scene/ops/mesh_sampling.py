@@ -42,8 +42,8 @@ from lumisplat.scene.scene import MeshInstance, Scene
 # Lengths are in spacings: the square root of the area per Gaussian.
 
 SAMPLING_COUNT_MAX = 50_000_000
-"""Largest number of Gaussians: candidates and pairs take about 1 KB per Gaussian, which makes 50 GB and a quarter of
-an hour.
+"""Largest number of Gaussians made from meshes: candidates and pairs take about 1 KB per Gaussian, so 50 GB and a
+quarter of an hour.
 """
 
 SAMPLING_CANDIDATES_PER_GAUSSIAN = 4.0
@@ -54,44 +54,48 @@ SAMPLING_SEARCH_SPACINGS = 0.86
 are selected. The densest packing of discs has 1.07."""
 
 SAMPLING_OPACITY = 0.995
-"""Opacity of the discs: above ALPHA_MAX, so that a disc's centre is as opaque as rendering allows."""
+"""Opacity of the disc Gaussians made from meshes: above ALPHA_MAX, so that a disc's centre is as opaque as rendering
+allows."""
 
 SAMPLING_THICKNESS = 0.05
 """Scale of a disc along its normal, relative to its smaller in-plane scale: thin enough to separate layers
 (docs/adr/0088)."""
 
 SAMPLING_FIRST_SCALE = 0.7
-"""In-plane scale of the discs before growth, in spacings between Gaussians; discs grow only where there are holes."""
+"""In-plane scale of a disc Gaussian before it grows, in spacings between Gaussians; discs grow only where there are
+holes."""
 
 SAMPLING_GROWTH = 1.08
-"""Factor by which a disc grows in one step."""
+"""Factor by which one growth step enlarges the in-plane scale of a disc Gaussian beside a hole."""
 
 SAMPLING_GROWTH_STEPS = 8
 """Largest number of growth steps: 1.08^8 = 1.85 times the first scale."""
 
 SAMPLING_GROWTH_REACH = 0.5
-"""Discs whose Gaussian exponent at an uncovered point is at most this above the nearest disc's grow too, so that no
-disc grows alone."""
+"""At an uncovered point the nearest disc grows, and with it all discs whose Gaussian exponent there is at most this
+much larger, so that no disc grows alone."""
 
 SAMPLING_COVERED_ALPHA = 0.95
-"""Smallest alpha at which a candidate point counts as covered."""
+"""Alpha of all discs together from which a candidate point counts as covered."""
 
 SAMPLING_FACING_COSINE = -0.5
 """Cosine between normals below which neighbours lie on the two sides of a thin wall."""
 
 SAMPLING_AXIS_COSINE = 0.97
-"""Cosine between shading and geometric normal (14 degrees) below which discs are aligned with the face."""
+"""A disc faces along the shading normal if the cosine between it and the face's normal exceeds this (14 degrees), else
+along the face's normal."""
 
 SAMPLING_EDGE_BAND = 0.2
-"""Distance from a crease, in spacings between Gaussians, within which points need not be covered, because covering
-discs would reach over the crease."""
+"""Distance from a crease, in spacings between Gaussians, within which holes are allowed: discs that cover them would
+reach over the crease."""
 
 SAMPLING_EDGE_ROW = 0.45
-"""Smallest limit of a disc's scale across a crease, in spacings between Gaussians, however near the crease is."""
+"""Lower bound of the limit on a disc's scale across a nearby crease, in spacings between Gaussians, however near the
+crease."""
 
 SAMPLING_CREASE_POINTS_PER_GAUSSIAN = 50
-"""Largest number of crease points per Gaussian. Compact objects need fewer than ten; thin slivers, with long edges and
-little area, would need any number."""
+"""Largest number of sample points on creases per Gaussian. Compact objects need fewer than ten; thin slivers, with
+long edges and little area, would need any number."""
 
 _Floats = npt.NDArray[np.floating]
 _Indices = npt.NDArray[np.integer]
@@ -108,13 +112,16 @@ def _shading_normals(mesh: Mesh, points: SurfacePoints, face_normals: _Floats) -
 
 
 def _thin_axes(smooth: _Floats, flat: _Floats) -> _Floats:
-    """Returns the discs' normals: shading normals, or face normals where both differ beyond `SAMPLING_AXIS_COSINE`."""
+    """Returns the axes along which discs are thin: shading normals, or face normals where the two differ too much."""
     agree = np.abs(np.einsum("ij,ij->i", smooth, flat)) > SAMPLING_AXIS_COSINE
     return np.where(agree[:, None], smooth, flat)
 
 
 def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Returns the axes of N Gaussians as matrix columns: across the nearest crease, along it, normal; (N, 3, 3)."""
+    """Returns each disc's axes as columns: across the nearest crease, along it, and the normal, (N, 3, 3).
+
+    Discs far from creases have arbitrary in-plane axes.
+    """
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     if creases.positions.size:
         near = cross_pairs(positions, creases.positions, 2.5 * spacing)
@@ -130,7 +137,10 @@ def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spac
 
 
 def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Returns the largest in-plane scales at which N Gaussians do not reach far over a crease, shape (N, 2)."""
+    """Returns the largest scales along N discs' two in-plane axes, shape (N, 2); inf for discs far from creases.
+
+    With them a disc reaches over a crease by only a fraction of ``spacing``.
+    """
     limits = np.full((positions.shape[0], 2), np.inf)
     if not creases.positions.size:
         return limits
@@ -164,11 +174,11 @@ def _grow_scales(
     Args:
         candidates: M points on the surface, shape (M, 3).
         inner: Candidates that must be covered: those not next to a crease, shape (M,).
-        chosen: Indices of the candidates that are the centres of the N Gaussians, shape (N,).
-        pairs: Neighbours among the candidates.
+        chosen: Indices of the N candidates at which the Gaussians have their centres, shape (N,).
+        pairs: Pairs of near candidates; a Gaussian covers only its partners.
         axes: Axes of each Gaussian as columns, shape (N, 3, 3).
         limits: Largest in-plane scales, shape (N, 2).
-        spacing: Distance between neighbouring Gaussians.
+        spacing: Mean distance between neighbouring Gaussians.
     """
     point, gaussian = _covering_pairs(pairs, chosen, inner)
     step = (candidates[point] - candidates[chosen[gaussian]]).astype(np.float32)
@@ -189,7 +199,7 @@ def _grow_scales(
 
 
 def _covering_pairs(pairs: Pairs, chosen: _Indices, inner: npt.NDArray[np.bool_]) -> tuple[_Indices, _Indices]:
-    """Pairs inner candidates that are no centre with the Gaussians near them.
+    """Pairs the candidates ``inner`` that are no centre of a Gaussian with the Gaussians near them.
 
     Returns:
         Index of the candidate and index of the Gaussian of each pair.
@@ -235,7 +245,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
 
 
 class SurfaceSamples(NamedTuple):
-    """N Gaussians on a mesh, and the positions of their centres on its triangles."""
+    """N disc Gaussians that cover a mesh, and where on which triangle each has its centre."""
 
     gaussians: Gaussians
     faces: npt.NDArray[np.integer]
@@ -276,7 +286,7 @@ def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> Surfa
 def _opaque_discs(
     material: Material, positions: _Floats, axes: _Floats, wide: _Floats, *, normals: _Floats, albedo: _Floats
 ) -> Gaussians:
-    """Makes disc Gaussians with in-plane scales ``wide``, shape (N, 2), and a material's roughness and metalness."""
+    """Makes opaque disc Gaussians from positions, axes, in-plane scales ``wide``, (N, 2), and a mesh's material."""
     count = len(positions)
     is_pbr = isinstance(material, MaterialPbr)
     thin = SAMPLING_THICKNESS * wide.min(axis=1, keepdims=True)
@@ -295,7 +305,7 @@ def _opaque_discs(
 
 
 def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Returns the distance of M points to the nearest crease, shape (M,); inf from half a spacing on."""
+    """Returns the distance of M points to the nearest crease, (M,); inf beyond half of ``spacing``."""
     distance = np.full(positions.shape[0], np.inf)
     if creases.positions.size:
         near = cross_pairs(positions, creases.positions, 0.5 * spacing)
@@ -304,7 +314,7 @@ def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) 
 
 
 def _same_side(pairs: Pairs, normals: _Floats) -> Pairs:
-    """Removes pairs whose points lie on the two sides of a thin wall, so that the sides are sampled independently."""
+    """Drops pairs of points whose normals are opposed, so that the two sides of a thin wall are sampled apart."""
     cosines = np.einsum("ij,ij->i", normals[pairs.first], normals[pairs.second])
     return pairs.where(cosines > SAMPLING_FACING_COSINE)
 

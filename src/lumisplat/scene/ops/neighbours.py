@@ -63,22 +63,22 @@ SAMPLING_RADIUS_STEP = 0.97
 """Factor by which the Poisson-disk radius shrinks while too few points are selected."""
 
 SAMPLING_RADIUS_STEPS_MAX = 100
-"""Largest number of steps in which the Poisson-disk radius shrinks, to a twentieth. Points still closer count as
-coincident, and are selected by priority until the wanted number is reached."""
+"""Largest number of times that the Poisson-disk radius shrinks, to a twentieth in all. Points still closer than that
+are selected by priority until the wanted number is reached."""
 
 _Indices = npt.NDArray[np.integer]
 
 _CELL_BITS = 21
 _CELL_MASK = (1 << _CELL_BITS) - 1
 _CELL_MAX = 2.0**40
-"""Largest cell coordinate: all points farther from zero share the last cell."""
+"""Largest magnitude of a cell coordinate in `cell_order`; points farther from zero share the outermost cell."""
 
 _MARGIN = 1.0 + 1e-6
-"""Factor by which SciPy's float64 search radius grows, because distances are then compared in float32."""
+"""Factor on the radius of SciPy's float64 neighbour search; its results are then filtered by float32 distances."""
 
 
 _ROUNDS = 4
-"""Number of radii that `pairs_of_about` tries after the first one."""
+"""Number of further radii that `pairs_of_about` tries if the first one gives too many or too few neighbours."""
 
 
 class Pairs(NamedTuple):
@@ -127,7 +127,7 @@ def cross_pairs(points: npt.NDArray[np.floating], others: npt.NDArray[np.floatin
 
 
 def _closer(points: FloatArray, others: FloatArray, first: _Indices, second: _Indices, radius: float) -> Pairs:
-    """Returns the pairs whose float32 distance is below the radius, sorted by their two indices."""
+    """Returns the pairs of ``points[first]`` and ``others[second]`` nearer than the radius in float32, sorted."""
     order = np.lexsort((second, first))
     first, second = first[order], second[order]
     step = points[first] - others[second]
@@ -170,14 +170,19 @@ def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) ->
 
 
 def _fill_up(selected: npt.NDArray[np.bool_], more: npt.NDArray[np.bool_], priority: _Indices, count: int) -> _Indices:
-    """Adds points of ``more`` by priority to the selected ones until there are ``count``; returns sorted indices."""
+    """Returns the sorted indices of ``selected`` plus as many points of ``more``, by priority, as make ``count``."""
     rows = np.flatnonzero(more)
     rows = rows[np.argsort(priority[rows])][: count - np.count_nonzero(selected)]
     return np.sort(np.concatenate([np.flatnonzero(selected), rows]))
 
 
 def _select_maximal(pairs: Pairs, selected: npt.NDArray[np.bool_]) -> None:
-    """Marks points in ``selected`` until every point is selected or paired with a selected one."""
+    """Selects further points, in place, until every point is selected or paired with a selected one.
+
+    Args:
+        pairs: Pairs of points that are too close to be both selected; the first has the higher priority.
+        selected: True for selected points; changed in place, shape (M,).
+    """
     first, second, _ = pairs
     undecided = ~selected
     undecided[second[selected[first]]] = False
@@ -195,7 +200,7 @@ def _select_maximal(pairs: Pairs, selected: npt.NDArray[np.bool_]) -> None:
 def pairs_of_about(
     count: int, points: npt.NDArray[np.floating], pairs_within: Callable[[float], Pairs]
 ) -> tuple[Pairs, float]:
-    """Returns pairs within a radius at which the median point has about ``count`` neighbours, and the radius.
+    """Searches pairs within a radius at which the median point has about ``count`` neighbours; returns both.
 
     On a surface the number of neighbours grows with the square of the radius, which corrects the first guess.
 
@@ -203,6 +208,9 @@ def pairs_of_about(
         count: Wanted number of neighbours of a point.
         points: N points, shape (N, 3).
         pairs_within: Returns the pairs closer than a radius, each pair in both orders.
+
+    Returns:
+        The pairs, and the radius in the points' unit.
     """
     low, high = np.quantile(points, [0.25, 0.75], axis=0)
     radius = max(float(np.linalg.norm(high - low)) * np.sqrt(count / len(points)), 1e-9)

@@ -28,46 +28,47 @@ from lumisplat.scene.mesh import Mesh, area_vectors
 from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, pairs_of_about
 
 NORMAL_NEIGHBOURS = 24
-"""Median number of neighbours from which a Gaussian's tangent plane is fitted: over two rings on a surface."""
+"""Wanted median number of neighbours from which a Gaussian's tangent plane is fitted: over two rings on a surface."""
 
 NORMAL_NEIGHBOURS_PER_CELL = 16
-"""Largest number of neighbours taken from a cube with the search radius as side, twice as many as a surface has there:
-in dense clusters every Gaussian would otherwise be paired with every other."""
+"""Largest number of Gaussians per cube, of the search radius as side, that may be neighbours of others: twice as many
+as a surface has there. In dense clusters every Gaussian would otherwise be paired with every other."""
 
 NORMAL_NEIGHBOURS_MIN = 4
 """Smallest number of neighbours that determine a plane."""
 
 OUTSIDE_CELLS = 1_500_000
-"""Largest number of voxels for finding the outside: a voxel is about a centimetre for a person, and the search takes
-half a second."""
+"""Largest number of voxels of the grid that tells inside from outside: a voxel is about a centimetre for a person, and
+the search takes half a second."""
 
 OUTSIDE_OPACITY_MIN = 0.1
-"""Smallest opacity of a Gaussian that counts as solid: haze around an object must not enclose it."""
+"""Smallest opacity of Gaussians that are voxelised as solid: haze around an object must not enclose it."""
 
 OUTSIDE_REACH = 1.5
-"""Radius of the disc that a Gaussian fills as solid, in its scales: discs of neighbours on a surface touch at this
-radius."""
+"""Radius, in the Gaussian's scales, of the disc of voxels that a Gaussian makes solid: discs of neighbours on a
+surface touch at this radius."""
 
 OUTSIDE_STEPS_MAX = 12
-"""Largest number of sample points from a disc's centre to its rim. It bounds the time for a few huge Gaussians, whose
-discs may then have holes.
+"""Largest number of sample points from the centre to the rim of a disc that is voxelised. It bounds the time for a few
+huge Gaussians, whose discs may then have holes.
 """
 
 OUTSIDE_CONNECTED = 0.25
-"""Weight, in a cell's openness, of being connected to the outside around corners; the rest is the weight of the
-fraction of directions that are free in a straight line."""
+"""Weight, in the openness of a voxel, of being connected to the outside even around corners; the remaining weight is
+that of the fraction of directions in which the outside is visible."""
 
 OUTSIDE_CONTRAST = 0.1
-"""Difference of openness from which the more open side of a Gaussian counts as outside: two or three of 26 directions.
+"""Difference in openness between the two sides of a Gaussian from which the more open side is outside: two or three of
+26 directions.
 """
 
 WELD_SHARE = 1e-6
-"""Distance relative to a mesh's diagonal below which vertices are welded for smoothing: text files round to six
-digits."""
+"""Side of the cells in which `smooth_normals` treats vertices as one point, relative to the mesh's diagonal: text
+files round to six digits."""
 
 _BORDER = 2
-"""Width of the border of free cells around the Gaussians: its cells are outside, and the blur does not reach the
-grid's edge."""
+"""Number of layers of free voxels around the Gaussians: they are outside, and the blur does not reach the grid's edge.
+"""
 
 
 def shortest_axes(gaussians: Gaussians) -> Doubles:
@@ -76,7 +77,7 @@ def shortest_axes(gaussians: Gaussians) -> Doubles:
 
 
 def _wide_axes(gaussians: Gaussians) -> tuple[Doubles, Doubles]:
-    """Returns the two longer axes of N Gaussians times their scales, the shorter one first, shape (N, 3) each."""
+    """Returns the middle and the longest axis of N Gaussians, each times its scale, shape (N, 3) each."""
     axes, scales = _ranked_axes(gaussians), np.sort(gaussians.scales, axis=1)
     return axes[..., 1] * scales[:, 1:2], axes[..., 2] * scales[:, 2:]
 
@@ -89,11 +90,11 @@ def _ranked_axes(gaussians: Gaussians) -> Doubles:
 
 
 class OpennessGrid(NamedTuple):
-    """Voxel grid that stores how open the space around each cell is towards the outside."""
+    """Voxel grid of a capture that stores for each cell how open the way to the outside is, 0..1."""
 
     openness: FloatArray
-    """Openness of each cell, 0 (solid or enclosed) to 1, blurred by about a cell, shape (X, Y, Z) for cells along x,
-    y, z."""
+    """Openness of each cell: 0 is solid or enclosed, 1 sees the outside in all 26 directions; blurred by about a cell,
+    shape (X, Y, Z) for cells along x, y, z."""
     corner: Doubles
     """Lower corner of cell (0, 0, 0), shape (3,)."""
     cell: float
@@ -136,14 +137,14 @@ def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> Floa
 
 
 def agreeing_signs(axes: Doubles) -> Doubles:
-    """Returns signs, shape (M,), that turn M axes, shape (M, 3), to one side of the plane most axes are normal to."""
+    """Returns signs that turn M axes, (M, 3), to one side of the plane to which they are most nearly normal, (M,)."""
     common = np.linalg.eigh(axes.T @ axes)[1][:, 2]
     common *= np.sign(common[np.abs(common).argmax()])
     return np.where(axes @ common < 0.0, -1.0, 1.0)
 
 
 def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
-    """Voxelises the Gaussians, and computes how open each cell is towards the outside."""
+    """Voxelises the Gaussians, and computes for each voxel how open the way to the outside is."""
     wide = _wide_axes(gaussians)
     means = gaussians.means.astype(np.float64)
     opaque = gaussians.opacities >= OUTSIDE_OPACITY_MIN
@@ -171,13 +172,13 @@ def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
 
 
 def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int) -> Iterator[Doubles]:
-    """Yields points that fill the discs of M Gaussians: one point per disc at a time, shape (M, 3).
+    """Yields points that fill the elliptic discs of M Gaussians: at each step one point per disc, shape (M, 3).
 
     Args:
         means: Centres of the discs, shape (M, 3).
-        first: First semi-axis of each disc, shape (M, 3).
-        second: Second semi-axis of each disc, shape (M, 3).
-        count: Number of points from a disc's centre to its rim.
+        first: Longest or middle axis of each Gaussian times its scale, shape (M, 3).
+        second: The other of these axes times its scale, shape (M, 3).
+        count: Number of points from a disc's centre to its rim, which is at `OUTSIDE_REACH` scales.
     """
     offsets = np.arange(-count, count + 1) * (OUTSIDE_REACH / count)
     for a in offsets:
@@ -186,14 +187,14 @@ def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int
 
 
 def _bounds_without_strays(points: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns the corners of a box around all points except those far outside the outer quantiles."""
+    """Returns corners of a box around the points, at most half the extent of the central quantiles beyond these."""
     low, high = np.quantile(points, [OUTLIER_SHARE, 1.0 - OUTLIER_SHARE], axis=0)
     margin = 0.5 * (high - low)
     return np.maximum(points.min(axis=0), low - margin), np.minimum(points.max(axis=0), high + margin)
 
 
 def _open_directions(free: Flags) -> FloatArray:
-    """Returns, per cell, the fraction of the 26 neighbour directions without a solid cell up to the grid's edge.
+    """Returns per cell the fraction of the 26 directions to neighbours in which no cell up to the edge is solid.
 
     For each direction, the grid is swept slice by slice: a cell is open if it is free and the next cell in that
     direction is open.
@@ -222,7 +223,7 @@ def _shift(flags: Flags, u: int, v: int) -> Flags:
 
 
 def _outside(solid: Flags) -> Flags:
-    """Returns a mask of the free cells that are connected to the first cell through faces of free cells."""
+    """Returns a mask of the free cells connected to corner cell (0, 0, 0), which is outside, through cell faces."""
     labels, _ = ndimage.label(~solid)
     return labels == labels[0, 0, 0]
 
@@ -304,7 +305,7 @@ def _pairs_within(means: FloatArray, radius: float) -> Pairs:
 
 
 def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
-    """Returns the mesh with new normals: each corner averages adjacent faces that differ by less than a crease angle.
+    """Returns the mesh with new normals: a corner averages the faces around it that differ by up to an angle.
 
     Faces are weighted by their angle at the corner (Thuermer and Wuethrich 1998), so that the triangulation does not
     matter; corners at the same position count as one, whatever their uvs. A vertex is split where its corners get

@@ -18,14 +18,14 @@ from lumisplat.scene.materials import TextureWrap, WrapPair, wraps_of
 from lumisplat.scene.mesh import Mesh, area_vectors
 
 SAMPLING_SPACINGS_PER_DIAGONAL = 300
-"""Default ratio of the bounding box's diagonal to the spacing of Gaussians, a compromise between detail and number:
-some 70,000 to 100,000 Gaussians for a compact object."""
+"""Default ratio of a mesh's bounding box diagonal to the spacing of the Gaussians made from it: some 70,000 to 100,000
+Gaussians for a compact object, a compromise between detail and number."""
 
 SAMPLING_DEFAULT_COUNTS = (1_000, 1_000_000)
-"""Smallest and largest default number of Gaussians."""
+"""Smallest and largest number of Gaussians that meshes are converted to if the caller gives no number."""
 
 CREASE_COSINE = 0.77
-"""Cosine between face normals below which an edge is a crease (about 40 degrees)."""
+"""An edge is a crease if the cosine between the normals of its two faces is below this (about 40 degrees)."""
 
 _Floats = npt.NDArray[np.floating]
 _Ints = npt.NDArray[np.integer]
@@ -60,7 +60,10 @@ def surface_area(mesh: Mesh) -> float:
 
 
 def default_count(meshes: Sequence[Mesh]) -> int:
-    """Returns the number of Gaussians for a spacing of 1/300 of the diagonal of the meshes' bounding box."""
+    """Returns the number of Gaussians that are 1/300 of the diagonal of all meshes' bounding box apart.
+
+    It is limited to `SAMPLING_DEFAULT_COUNTS`.
+    """
     corners = [mesh.positions[mesh.indices].reshape(-1, 3).astype(np.float64) for mesh in meshes]
     highest, lowest = (np.array([extreme(c, axis=0) for c in corners]) for extreme in (np.max, np.min))
     diagonal = float(np.linalg.norm(highest.max(axis=0) - lowest.min(axis=0)))
@@ -69,7 +72,7 @@ def default_count(meshes: Sequence[Mesh]) -> int:
 
 
 def stratified_points(mesh: Mesh, areas: Doubles, count: int, rng: np.random.Generator) -> SurfacePoints:
-    """Samples points stratified by area over the triangles, with the R2 sequence (Roberts 2018) within each."""
+    """Samples ``count`` points on a mesh, spread by triangle area, with the R2 sequence (Roberts 2018) in each."""
     cumulative = np.cumsum(areas)
     strata: Doubles = (np.arange(count) + rng.random(count)) * (cumulative[-1] / count)
     faces = np.minimum(np.searchsorted(cumulative, strata, side="right"), np.flatnonzero(areas)[-1])
@@ -103,7 +106,7 @@ def interpolate_vertices(
 
 
 class CreasePoints(NamedTuple):
-    """C points along creases."""
+    """C points sampled along the creases of a mesh: its sharp, open and non-manifold edges."""
 
     positions: npt.NDArray[np.float64]
     """Positions of the points, shape (C, 3)."""
@@ -217,12 +220,12 @@ def _bilinear(image: _Floats, uvs: _Floats, wraps: WrapPair) -> _Floats:
 
 
 def _neighbour(texels: _Ints, size: int, wrap: TextureWrap) -> _Ints:
-    """Wraps, mirrors or clamps indices of texels one step beyond an edge of ``size`` texels."""
+    """Maps texel indices one step beyond an edge: REPEAT to the other edge, other modes back to the same edge."""
     return texels % size if wrap is TextureWrap.REPEAT else np.clip(texels, 0, size - 1)
 
 
 def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
-    """Maps texture coordinates into 0..1 as the wrap mode says."""
+    """Maps texture coordinates into 0..1: fractional part (REPEAT), reflected (MIRROR) or clamped (CLAMP)."""
     if wrap is TextureWrap.CLAMP:
         return np.clip(coordinates, 0.0, 1.0)
     if wrap is TextureWrap.MIRROR:
@@ -231,7 +234,7 @@ def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
 
 
 def _halve(image: _Floats, axis: int) -> _Floats:
-    """Halves the number of rows (axis 0) or columns (axis 1), odd or even, to at least one, by exact area averages."""
+    """Halves the rows (axis 0) or columns (axis 1) of an image, odd or even, to at least one, by area averages."""
     size = int(image.shape[axis])
     half = max(size // 2, 1)
     image = np.moveaxis(image, axis, 0)

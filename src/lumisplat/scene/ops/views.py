@@ -20,7 +20,8 @@ from lumisplat.scene.placing import Vector, front_vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
 
 FRAMING_FARTHEST = 1e17
-"""Largest coordinate of a scene that can be framed, scene units: camera positions are limited to 1e18."""
+"""Largest coordinate, scene units, of a scene for which a camera is chosen automatically: camera positions are limited
+to 1e18."""
 
 _FRAMING_FOV_Y = 0.8
 """Default vertical field of view, radians: a normal lens."""
@@ -29,31 +30,34 @@ _FRAMING_ELEVATION = 0.2
 """Default elevation of the eye above the horizon, radians: enough to show the ground below an object."""
 
 _STEEP = 0.1
-"""Cosine of a view's elevation below which the view is so steep that its horizontal direction is unreliable."""
+"""Cosine of a first view's elevation below which it looks so steeply that the image's up direction gives its azimuth.
+"""
 
 _GAPS = 50
-"""Divisor of the bulk's largest extent: Gaussians farther from each other than the quotient do not count as connected.
+"""Gaussians outside a capture's bulk count as connected to it across gaps of up to the bulk's largest side over this.
 """
 _OPACITY_MIN = 0.1
-"""Smallest opacity of a Gaussian that extends the visible bounds."""
+"""Smallest opacity of a Gaussian outside a capture's bulk that may extend the visible bounds."""
 _ENDS_MOST = 4.0
-"""Distance from the bulk, in its extents, beyond which Gaussians never extend the visible bounds."""
+"""Distance from a capture's bulk, in its largest side, beyond which Gaussians never extend the visible bounds."""
 
 _FRAMING_MARGIN = 1.05
-"""Factor of the camera distance at which the scene's box just fits; it leaves a margin around the box."""
+"""Distance of an automatic camera over the distance at which the scene's box just fits the image."""
 
 _ROLL, _PITCH = 0.1, 0.35
-"""Standard deviations, radians, of the roll (`_ROLL`) and pitch (`_PITCH`) at which people hold cameras."""
+"""Assumed standard deviations, radians, with which people roll (`_ROLL`) and pitch (`_PITCH`) a camera they hold."""
 _AGREE = 0.3
-"""Length of the mean of all up vectors below which the cameras do not agree on an up direction."""
+"""Smallest length of the mean of the cameras' unit up vectors at which the cameras agree on an up direction."""
 _ALL_DOWN = 0.9
-"""Length of the mean of all view directions from which all cameras look the same way, as from an aircraft."""
+"""Length of the mean of all unit view directions above which all cameras look the same way, as from an aircraft."""
 _CONVERGE = 0.35
-"""Tangent of the angle between a camera's axis and the cameras' common point: up to this median, the axes converge."""
+"""The cameras' axes converge if the median tangent of the angle between an axis and the direction to the point nearest
+to all axes is below this."""
 _MIDDLE = 0.3
-"""Fraction of the image, around its centre, in which the median depth is measured."""
+"""Fraction of the image's height, around its centre, in which Gaussians' depths give the median depth of the subject.
+"""
 _COUNT = 2000
-"""Largest number of cameras that are compared with each other; from more cameras, a subset is taken."""
+"""Largest number of cameras among which the first view is chosen; of more cameras, every n-th is considered."""
 _WIDEST = 2.0
 """Largest vertical field of view of a capture's first view, radians; views of wider lenses are narrowed to it."""
 
@@ -98,14 +102,14 @@ def pixel_ray(camera: Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
 
 
 def _camera_around(camera: Camera, x: int, y: int) -> Camera:
-    """Returns the camera with its window set to the smallest one that contains pixel (x, y)."""
+    """Returns the camera with the window of 16 x 16 pixels, less at the image's edge, that contains pixel (x, y)."""
     left, top = (side // WINDOW_STEP * WINDOW_STEP for side in (x, y))
     window = left, top, min(WINDOW_STEP, camera.width - left), min(WINDOW_STEP, camera.height - top)
     return replace(camera, window=window)
 
 
 def _rotate(vectors: Doubles, turn: Doubles) -> Doubles:
-    """Rotates vectors, (H, W, 3), about the axes ``turn``, (H, 1, 3), by the axes' lengths in radians (Rodrigues)."""
+    """Rotates vectors, (H, W, 3), by rotation vectors ``turn``, (H, 1, 3): axis times angle in radians (Rodrigues)."""
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     axis = np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0)
     across = np.cross(axis, vectors)
@@ -204,7 +208,10 @@ def frame_camera(
 
 
 def _angles(scene: Scene, view: Camera) -> tuple[float, float]:
-    """Returns azimuth and elevation of a view's eye; for steep views, the azimuth follows the image's up direction."""
+    """Returns azimuth and elevation, radians, of the eye of ``view`` relative to the scene's front and horizon.
+
+    For steep views, the azimuth follows the image's up direction.
+    """
     upward = np.array(scene.up_direction)
     front = front_vector(upward)
     _, down, forward = view.camera_from_world[:3, :3]
@@ -214,13 +221,13 @@ def _angles(scene: Scene, view: Camera) -> tuple[float, float]:
 
 
 def _fov_of(view: Camera, aspect: float) -> float:
-    """Returns the vertical field of view at which an image of aspect ratio ``aspect`` shows all that ``view`` shows."""
+    """Returns the vertical field of view at which an image with ratio ``aspect`` shows all that ``view`` shows."""
     tangent = math.tan(0.5 * view.fov_y)
     return 2.0 * math.atan(tangent * max(1.0, view.width / view.height / aspect))
 
 
 def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[Doubles, Doubles]:
-    """Returns the unit direction from the target to the eye, and the up direction of the image, world space."""
+    """Returns for an azimuth and elevation: unit direction from target to eye, and up in the image, world space."""
     upward = np.array(scene.up_direction)
     front = front_vector(upward)
     level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(upward, front)
@@ -251,8 +258,8 @@ def _target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
 def visible_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
     """Returns the corners (min, max) of a world-space box around the visible scene, shape (3,) each.
 
-    The bulk of a capture (`Scene.bulk_bounds`) cuts off thin ends that are visible. The box therefore grows over all
-    Gaussians that are connected to the bulk without gaps; stray Gaussians stay outside.
+    `Scene.bulk_bounds`, which leaves out 2 % of opacity at each end, cuts off thin ends that are visible. The box
+    therefore grows over all Gaussians that connect to the bulk's box without gaps; stray Gaussians stay outside.
 
     Raises:
         SceneError: The scene is empty.
@@ -264,7 +271,7 @@ def visible_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
 
 
 def _thin_ends(instance: SplatInstance, low: Doubles, high: Doubles) -> Doubles:
-    """Returns M means outside a box that connect to the Gaussians inside without gaps, world space, shape (M, 3)."""
+    """Returns the M means outside the box (low, high) that connect to it without gaps, world space, (M, 3)."""
     means, gaussians = instance.world_means, instance.gaussians
     gap = max(float((high - low).max()) / _GAPS, 4.0 * instance.scale * float(np.median(gaussians.scales.max(axis=1))))
     reach = _ENDS_MOST * (high - low).max()
@@ -297,7 +304,7 @@ def _fitting_distance(
     Args:
         scene: Scene.
         center: World position in the centre of the image.
-        sides: Eye and up directions, as `_side` returns them.
+        sides: For each view that must fit, the direction to the eye and up, as `_side` returns them.
         lens: Vertical field of view, and ratio of width to height of the image.
     """
     fov_y, aspect = lens
@@ -435,7 +442,13 @@ def first_view_of(cameras: Sequence[Camera], means: npt.NDArray[np.floating]) ->
 
 
 def _distance_to_convergence(camera: Camera, eyes: Doubles, axes: Doubles) -> float | None:
-    """Returns the distance along a camera's axis to the point nearest to all axes; None if they do not converge."""
+    """Returns the view depth, for one camera, of the point nearest to all cameras' axes; None if they do not converge.
+
+    Args:
+        camera: The camera.
+        eyes: World positions of all C cameras, shape (C, 3).
+        axes: Unit view directions of all C cameras, shape (C, 3).
+    """
     across: Doubles = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     if np.linalg.cond(across.sum(axis=0)) > 1e6:  # parallel
         return None
@@ -450,7 +463,7 @@ def _distance_to_convergence(camera: Camera, eyes: Doubles, axes: Doubles) -> fl
 
 
 def _median_depth(camera: Camera, means: npt.NDArray[np.floating]) -> float:
-    """Returns the median depth of the Gaussians in the image centre; without Gaussians there, of all Gaussians."""
+    """Returns the median view depth of Gaussians in the image's centre, or if there are none, of all before the eye."""
     points = means @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     x, y, z = points.T.astype(np.float64)
     before = z > camera.near
