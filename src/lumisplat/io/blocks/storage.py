@@ -38,7 +38,9 @@ BLOCK_LEVEL_RATIO = 4
 """Factor by which the number of Gaussians falls from one level of detail to the next coarser one."""
 
 BLOCK_CELLS_MAX = 2**16
-"""Largest number of cubes before any is split; each is a file while blocks are written. More: ``cell`` is too small."""
+"""Largest number of cubes before any is split, each of which is a file while blocks are written.
+
+If there are more, ``cell`` is too small, and writing fails."""
 
 _INDEX = BLOCKS
 """File name of the index. It is written last, so a folder without it is an incomplete capture."""

@@ -126,6 +126,8 @@ def node_matrix(file: GltfFile, index: int) -> Matrix | None:
 def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
     """Returns translation (3,), rotation as a unit quaternion wxyz (4,), and scale (3,) of a node without a matrix.
 
+    Those that the node does not state have their glTF defaults.
+
     Raises:
         FormatError: A value has the wrong count or is not finite, or the rotation has zero length.
     """
@@ -183,7 +185,7 @@ def node_item(matrix: Matrix, name: str) -> dict[str, Any]:
 
 
 def _local_transform(file: GltfFile, index: int) -> Matrix:
-    """Returns ``parent_from_node``, shape (4, 4), of a node, whether it stores a matrix or separate columns."""
+    """Returns ``parent_from_node``, shape (4, 4), of a node with a matrix or with translation, rotation and scale."""
     stored = node_matrix(file, index)
     if stored is not None:
         return stored
@@ -209,7 +211,7 @@ def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
 
 
 EXTRAS_KEY = "lumisplat"
-"""Key of Lumisplat's settings in ``extras``."""
+"""Key under which the ``extras`` of a glTF object hold Lumisplat's settings."""
 
 _MATERIALS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
 _MESH_ONLY_SUFFIXES = ("_texture", "_wraps", "wrap_u", "wrap_v", "alpha_mode")
@@ -231,7 +233,7 @@ def lumisplat_extras(item: Any) -> dict[str, Any] | None:
 
 
 def with_extras(item: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
-    """Returns a JSON item to which ``stored``, if not empty, is added as Lumisplat's settings in extras."""
+    """Returns a JSON object with ``stored`` as Lumisplat's settings in its ``extras``; unchanged if that is empty."""
     return item | ({"extras": {EXTRAS_KEY: stored}} if stored else {})
 
 
@@ -241,7 +243,7 @@ def light_extras(light: Light) -> dict[str, Any]:
 
 
 def light_settings(stored: dict[str, Any] | None, kind: type[Any]) -> dict[str, Any]:
-    """Returns constructor arguments for a light class from extras; the inverse of `light_extras`."""
+    """Returns constructor arguments for a light class from Lumisplat's extras of a glTF light; empty without extras."""
     known = {field.name for field in fields(kind)}
     return {name: value for name, value in _known_settings(stored, LIGHT_EXTRAS).items() if name in known}
 
@@ -257,7 +259,7 @@ def instance_extras(splat: SplatInstance) -> dict[str, Any]:
 
 
 def instance_settings(stored: dict[str, Any] | None) -> dict[str, Any]:
-    """Returns constructor arguments for a `SplatInstance` from extras; the inverse of `instance_extras`.
+    """Returns constructor arguments for a `SplatInstance` from Lumisplat's extras of its node; empty without extras.
 
     Raises:
         SceneError: A value is out of range, or the material type is unknown.

@@ -78,7 +78,7 @@ _IMAGE_SIDE_MAX = 16_380
 """Largest width and height of a written image: the largest multiple of 4 that WebP supports."""
 
 _FILE_TIME = (1980, 1, 1, 0, 0, 0)
-"""Timestamp of all files in a bundle, the earliest that zip supports: equal captures become equal bytes."""
+"""Timestamp of all files in a .sog bundle, the earliest that zip supports, so that equal captures give equal bytes."""
 
 _THREADS = 4
 
@@ -205,7 +205,7 @@ def read_meta(path: PathLike) -> Meta:
 
 @contextmanager
 def _open_source(path: PathLike) -> Generator[Callable[[str], bytes]]:
-    """Opens a bundle or folder. Yields a function that reads a file of the capture by its name."""
+    """Opens a .sog bundle or a SOG folder. Yields a function that reads a file of the capture by its name."""
     if Path(path).is_dir() or Path(path).name == "meta.json":
         folder = Path(path) if Path(path).is_dir() else Path(path).parent
         yield lambda name: read_bytes(folder / name, referrer=path)
@@ -228,7 +228,7 @@ def _read_member(path: PathLike, bundle: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _plain_name(path: PathLike, name: str) -> str:
-    """Returns ``name``, a file name in meta.json; raises `FormatError` if it contains a folder."""
+    """Returns a file name from meta.json; raises `FormatError` if it contains a folder, as it may lead elsewhere."""
     if Path(name).name != name:
         raise FormatError(path, f"refers to {name!r}, expected the name of a file beside its meta.json")
     return name
@@ -315,9 +315,10 @@ def _scale_to_range(unit: Floats, field: Meta) -> Floats:
 
 
 def _rotations(pixels: Bytes) -> Floats:
-    """Decodes N quaternions wxyz, shape (N, 4), from their three smallest components, one byte each.
+    """Decodes N quaternions wxyz, shape (N, 4), from pixels: three smallest components as RGB, one byte each.
 
-    A pixel with an invalid tag gives a zero quaternion, which later checks refuse.
+    Alpha is 252 plus the index of the largest component. A lower alpha gives a zero quaternion, which later checks
+    refuse.
     """
     smallest = (pixels[:, :3] / np.float32(255.0) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
     largest = pixels[:, 3].astype(np.int64) - _QUATERNION_TAG
@@ -483,7 +484,7 @@ def _mean_images(means: Floats, add: Callable[[str, Bytes], str]) -> dict[str, A
 
 
 def _rotation_image(wxyz: Floats) -> Bytes:
-    """Encodes quaternions as pixels: the three smallest components, then the tag of the largest component as alpha."""
+    """Encodes quaternions as pixels: three smallest components as RGB, 252 plus index of the largest one as alpha."""
     largest, smallest = pack_smallest_three(wxyz)
     unit = np.clip(smallest * np.sqrt(0.5) + 0.5, 0.0, 1.0)
     return np.column_stack([np.floor(255.0 * unit + 0.5), largest + _QUATERNION_TAG]).astype(np.uint8)

@@ -39,13 +39,19 @@ from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.ops.neighbours import sort_morton
 
 SOG_CHUNK_COUNT = 512 * 1024
-"""Approximate number of Gaussians per SOG capture, 7 MB, and largest number per leaf, as in splat-transform."""
+"""Approximate number of Gaussians in each SOG capture of a streamed SOG, 7 MB, as in splat-transform.
+
+It is also the largest number of Gaussians in a leaf of the tree."""
 
 SOG_CHUNK_EXTENT = 16.0
-"""Largest extent of a leaf in scene units, as in splat-transform. Viewers choose one level for a whole leaf."""
+"""Largest extent of a leaf of the streamed SOG's tree in scene units, as in splat-transform.
+
+Viewers choose one level of detail for a whole leaf."""
 
 SOG_LEAF_MIN = 8192
-"""Number of Gaussians up to which a leaf may exceed `SOG_CHUNK_EXTENT`, because scene units may not be metres."""
+"""Number of Gaussians up to which a leaf is not split although it exceeds `SOG_CHUNK_EXTENT`.
+
+Scene units may not be metres."""
 
 SOG_LEVEL_MIN = 20_000
 """Coarser levels are added as long as they have at least this many Gaussians; a viewer loads the coarsest at once."""
@@ -53,7 +59,7 @@ SOG_LEVEL_MIN = 20_000
 _log = logging.getLogger("lumisplat")
 
 _LEVELS_MAX = 64
-"""Largest number of levels of a file that is accepted; writers halve the Gaussians from level to level."""
+"""Largest number of levels of detail that a ``lod-meta.json`` may state; more are refused."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -486,7 +486,7 @@ def _unit(color: Any) -> tuple[float, ...]:
 
 @dataclass(slots=True)
 class MaterialWriter:
-    """Writes materials as shader networks; a material that several prims use is written once."""
+    """Writes materials as UsdPreviewSurface networks; a material that several prims use is written once."""
 
     writer: StageWriter
     _cache: dict[_Key, tuple[Material, Any]] = field(default_factory=dict[_Key, "tuple[Material, Any]"])
@@ -507,7 +507,7 @@ class MaterialWriter:
 
 
 class _Network:
-    """Shader network of one material that is being written."""
+    """Writes one material as a network of shader prims around a UsdPreviewSurface."""
 
     def __init__(self, writer: StageWriter, material: Material, has_colors: bool) -> None:
         px = pxr()

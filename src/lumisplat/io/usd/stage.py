@@ -354,7 +354,7 @@ class StageWriter:
             prim.SetDisplayName(name)
 
     def set_transform(self, prim: Any, world_from_object: Doubles) -> None:
-        """Sets the transform of a prim below the root, shape (4, 4); the identity is not written."""
+        """Sets the transform of a prim that is a child of the root prim, shape (4, 4); the identity is not written."""
         if not np.array_equal(world_from_object, np.eye(4)):
             pxr().UsdGeom.Xformable(prim).AddTransformOp().Set(matrix(world_from_object))
 
