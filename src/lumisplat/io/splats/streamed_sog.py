@@ -51,7 +51,7 @@ Viewers choose one level of detail for a whole leaf."""
 SOG_LEAF_MIN = 8192
 """Number of Gaussians up to which a leaf is not split although it exceeds `SOG_CHUNK_EXTENT`.
 
-Scene units may not be metres."""
+In a capture whose scene units are not metres, leaves could otherwise become too small."""
 
 SOG_LEVEL_MIN = 20_000
 """Coarser levels are added as long as they have at least this many Gaussians; a viewer loads the coarsest at once."""
