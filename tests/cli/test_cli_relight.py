@@ -116,6 +116,7 @@ def test_relight_in_darkness_prints_advice_without_a_gamma(work):
         (("@mesh.obj", "@room.ply"), "ls.gaussians_from_mesh"),
         (("@two.toml", "@room.ply"), "two.toml: is not a capture"),
         (("@ball.ply", "@room.ply", "-o", "@relit.png"), "relit.png: unknown extension '.png', expected .ply"),
+        (("@ball.ply", "@sky.exr", "-o", "@relit.ply"), "sky.exr: is an image, not a scene: --environment"),
         (("@ball.ply", "@room.ply", "--probe", "@probe.hdr"), "probe.hdr: unknown extension"),
         (("@ball.ply", "@room.ply", "--gamma", "-1"), "gamma is -1.0, expected 0.0 to 1000.0"),
         (("@ball.ply", "@room.ply", "--exponent", "0"), "exponent is 0.0"),
@@ -129,6 +130,7 @@ def test_relight_in_darkness_prints_advice_without_a_gamma(work):
 def test_relight_reports_mistakes_in_one_line(work, monkeypatch, args, named):
     """Each mistake ends with status 2 and one line on standard error that names it, and writes no file."""
     monkeypatch.chdir(work.folder)
+    work.path("sky.exr").touch()
     before = work.files()
     done = work.run("relight", *args)
     assert (done.status, done.out) == (2, "")

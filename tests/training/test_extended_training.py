@@ -78,6 +78,8 @@ def test_resuming_with_fewer_iterations_than_done_is_refused(
     held = checkpoint_of(output).read_bytes()
     capsys.readouterr()
     assert main([*command, "--iterations", "20"]) == 2
-    problem = "has 30 iterations, --iterations is 20: request at least as many, or overwrite it"
+    problem = (
+        "has 30 iterations, --iterations is 20: request at least as many, or start again (--overwrite, overwrite=True)"
+    )
     assert capsys.readouterr().err == f"error: {checkpoint_of(output)}: {problem}\n"
     assert checkpoint_of(output).read_bytes() == held

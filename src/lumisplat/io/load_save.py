@@ -562,6 +562,8 @@ def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _L
         return _import("scene_toml.scene_file.read_scene_file")(path, load, options.up)
     if extension in _LOD_READERS:
         return _import(_LOD_READERS[extension])(path, options.lod, options.budget)
+    if extension in (".exr", ".hdr"):
+        raise FormatError(path, "is an image, not a scene: --environment (ls.LightEnvironment) lights a scene with it")
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {_READABLE}")
     reader: Callable[..., _Loaded] = _import(_READERS[extension])

@@ -522,7 +522,8 @@ def _check_steps(path: Path, done: int, before: int, now: int) -> None:
     if done > now:
         raise FormatError(
             path,
-            f"has {done:,} iterations, TrainConfig.iterations is {now:,}: request at least as many, or overwrite it",
+            f"has {done:,} iterations, TrainConfig.iterations is {now:,}: request at least as many, or start again "
+            "(--overwrite, overwrite=True)",
         )
     if before != now:
         _log.warning(

@@ -96,7 +96,7 @@ def test_too_few_samples_log_one_warning_that_names_the_noisy_light(caplog: pyte
             renderer.render(content, camera)
         return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
 
-    end = f": set samples to at least {MANY}, or leave it out"
+    end = f": set samples to at least {MANY}, or denoise"
     assert lines(scene(ENVIRONMENT), samples=1) == [f"light from the environment is noisy with 1 sample a pixel{end}"]
     (line,) = lines(soft, samples=4, shadows=ls.Shadows.SOFT)
     assert line == f"light from the environment and lights with a size is noisy with 4 samples a pixel{end}"

@@ -46,9 +46,10 @@ from lumisplat.scene.scene import Scene
 class DifferentiableRenderer(Renderer):
     """Renders unlit frames with sorted blending, and computes gradients of a loss through them. Not thread-safe.
 
-    ``render`` draws the same frame, to the bit, as `lumisplat.Renderer` with the same settings. ``gradients`` then
-    traverses the Gaussians of each pixel of the last frame once more, front to back (docs/method/gradients.md). The
-    backward pass uses no atomics: its results have the same bits for any number of threads.
+    ``render`` draws the same frame, to the bit, as `lumisplat.Renderer` with ``lighting=False``: lights and materials
+    of the scene are ignored. ``gradients`` then traverses the Gaussians of each pixel of the last frame once more,
+    front to back (docs/method/gradients.md). The backward pass uses no atomics: its results have the same bits for any
+    number of threads.
 
     With ``Pipeline.TRACE``, frames have one ray a pixel; cameras may have a fisheye, a distorted lens or a rolling
     shutter, and Gaussian kernels any degree. ``Projection.UNSCENTED`` needs kernels of degree 2. ``Pipeline.TRACE`` and
@@ -137,8 +138,8 @@ class DifferentiableRenderer(Renderer):
             return frame
         if camera.is_distorted:
             raise ConfigError(
-                "frames of a distorted lens are resampled and have no gradients: use a pinhole camera or "
-                "Projection.UNSCENTED"
+                "frames of a distorted lens are resampled and have no gradients: use a pinhole camera, or "
+                "RenderConfig(raster=RasterConfig(projection=Projection.UNSCENTED))"
             )
         frame = super().render(scene, camera, **options)
         if self._unlit_raster.drawn is not None:

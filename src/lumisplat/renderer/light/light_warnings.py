@@ -26,7 +26,7 @@ class LightWarnings:
         if plan.noise_sources and samples < plan.samples_wanted and not self._has_warned_of_noise:
             self._has_warned_of_noise = True
             _noise_log.warning(
-                "light from %s is noisy with %d %s a pixel: set samples to at least %d, or leave it out",
+                "light from %s is noisy with %d %s a pixel: set samples to at least %d, or denoise",
                 " and ".join(plan.noise_sources),
                 samples,
                 "sample" if samples == 1 else "samples",
