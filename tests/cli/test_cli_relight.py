@@ -130,7 +130,7 @@ def test_relight_in_darkness_prints_advice_without_a_gamma(work):
 def test_relight_reports_mistakes_in_one_line(work, monkeypatch, args, named):
     """Each mistake ends with status 2 and one line on standard error that names it, and writes no file."""
     monkeypatch.chdir(work.folder)
-    work.path("sky.exr").touch()
+    work.path("sky.exr").write_text("an image")
     before = work.files()
     done = work.run("relight", *args)
     assert (done.status, done.out) == (2, "")
