@@ -23,11 +23,11 @@ class DeepFrame:
     """Index of each pixel's first sample, pixels row by row, shape (H W + 1,). The last entry is the number of
     samples."""
     near: FloatArray
-    """View depth at which each sample begins, scene units, one number for each sample. For fisheye cameras, which also
-    see sideways and backwards, the distance from the camera."""
+    """View depth at which each sample begins, scene units, one number for each sample; for fisheye cameras, the
+    distance from the camera."""
     far: FloatArray
-    """Depth at which each sample ends, measured as in ``near``, one number for each sample; never behind the beginning
-    of the pixel's next sample."""
+    """View depth (fisheye: distance) at which each sample ends, scene units, one number for each sample; at most
+    ``near`` of the pixel's next sample."""
     color: FloatArray
     """Linear Rec.709 colour of each sample, premultiplied by that sample's alpha, shape (samples, 3)."""
     alpha: FloatArray

@@ -19,8 +19,9 @@ from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
 
 UNLIT_REACH = 2
-"""Distance in pixels within which no captured pixel may be changed by light if a pixel is to count as unlit. If every
-second sample of a pixel hits a light, at least one of the 25 pixels around is changed, except once in 30 million."""
+"""Radius in pixels of the square (5 x 5 pixels) in which light must leave every captured pixel unchanged for the
+middle pixel to count as unlit. If a light hits half of all samples, one sample in each pixel misses it in all 25 with
+probability 1 in 30 million."""
 
 
 def check_denoiser() -> None:
@@ -51,9 +52,9 @@ def denoised_light(frame: FrameData) -> FloatArray:
 
 
 def _unlit_pixels(frame: FrameData) -> Flags:
-    """Returns a mask of the pixels that show only unlit captures and background, shape (H, W).
+    """Returns a mask of the captured pixels where no light arrives, shape (H, W).
 
-    A pixel counts as unlit only if light changes no pixel around it either: the few samples of one pixel may miss a dim
+    Light must change no captured pixel in the 5 x 5 pixels around either: the few samples of one pixel may miss a dim
     light or a thin shadow.
     """
     assert frame.light is not None and frame.captured_weight is not None
@@ -65,9 +66,9 @@ def _unlit_pixels(frame: FrameData) -> Flags:
 
 
 def _guides(frame: FrameData) -> dict[str, Any]:
-    """Returns albedo and normals to guide the denoiser; empty if they are blurred by defocus or chosen at random.
+    """Returns the images albedo and normal for the denoiser; empty if defocus or random choice makes them useless.
 
-    The entry ``clean_aux`` tells the denoiser whether the guides are free of noise.
+    Their entry ``clean_aux`` tells the denoiser whether they are free of noise.
     """
     if frame.camera.aperture > 0.0:
         return {}  # out of focus, samples of one pixel hit different surfaces

@@ -14,9 +14,8 @@ from lumisplat.io.images.texture import to_bytes, write_gray_png
 from lumisplat.math.arrays import FloatArray
 
 NOTEBOOK_PNG_PIXELS_MAX = 2**20
-"""Largest number of pixels of a PNG in a notebook; larger opaque frames become JPEGs, because notebooks store images
-in base64. Measured at 1280 x 720: the demo room takes 0.60 bytes a pixel as PNG and 0.12 as JPEG, the biker from nearby
-0.29 and 0.05."""
+"""Largest number of pixels of a frame that a notebook stores as PNG; a larger opaque frame becomes a JPEG, because
+notebooks store images in base64. At 1280 x 720, the demo room takes 0.60 bytes a pixel as PNG and 0.12 as JPEG."""
 
 MimeBundle = tuple[dict[str, str], dict[str, dict[str, int]]]
 """An object's representations by MIME type (images in base64), and the metadata of each representation."""
@@ -26,7 +25,7 @@ _JPEG_QUALITY = 92
 
 
 def mime_type(pixels: Image) -> str:
-    """Chooses the MIME type of an image in a notebook: PNG if small or transparent, else JPEG, which is smaller."""
+    """Returns the MIME type for an image in a notebook: PNG if it is small or has alpha, else the smaller JPEG."""
     height, width, channels = pixels.shape
     return "image/png" if channels == 4 or height * width <= NOTEBOOK_PNG_PIXELS_MAX else "image/jpeg"
 
@@ -62,7 +61,8 @@ def mime_bundle(
 
 
 _STEPS = 65534
-"""Steps of 16-bit grey from the nearest to the farthest surface: values 1 to 65535. Value 0 means "no surface"."""
+"""Number of steps of 16-bit grey between the nearest surface (value 1) and the farthest (65535); 0 means "no surface".
+"""
 _FORMULA = "depth = depth_near + (value - 1) / 65534 * (depth_far - depth_near); value 0: no surface"
 
 

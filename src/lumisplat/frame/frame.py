@@ -59,7 +59,7 @@ class Frame(FrameData):
     __slots__ = ("_unread",)
 
     _unread: dict[str, Callable[[], Any]]
-    """Functions that fetch images not read yet, by field name. A field with an entry here has no value yet."""
+    """Functions that download images from the device, by field name; a function runs when its image is first read."""
 
     LAYERS: ClassVar[tuple[str, ...]] = LAYERS
     """Names of images that can be saved in addition to the colour."""
@@ -69,7 +69,8 @@ class Frame(FrameData):
         "shadow": "lights",
         "shadow_matte": "shadow_ratio",
     }
-    """Entry of ``RenderConfig.aovs`` that each layer or view requires. Layers without an entry are always available."""
+    """Name that ``RenderConfig.aovs`` must contain for each layer or view; layers that are not listed are always
+    available."""
 
     @classmethod
     def of(
@@ -95,12 +96,12 @@ class Frame(FrameData):
         return frame
 
     def developed(self, camera: Camera, config: RenderConfig | None, picture: ReadPicture | None) -> Frame:
-        """Returns a frame with another exposure or tone map, which shares all images with this frame.
+        """Returns a frame that shares this frame's images, with another exposure or tone map.
 
         Args:
             camera: This frame's camera, with another exposure.
             config: This frame's settings, with another tone map.
-            picture: As in `of`.
+            picture: Fetches the encoded bytes of `pixels_srgb` from the device; None: they are encoded on the host.
         """
         unread = self._fetches()
         images = {name: partial(getattr, self, name) for name in unread if name != _PICTURE}
@@ -344,7 +345,7 @@ class Frame(FrameData):
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})
 
     def _picture(self) -> npt.NDArray[Any]:
-        """Returns the pixels of the PNG: bytes if the device has encoded them, otherwise `pixels_srgb` as floats."""
+        """Returns the frame's sRGB pixels: bytes if the device has encoded them, otherwise `pixels_srgb` as floats."""
         unread = self._fetches()
         fetch = unread.get(_PICTURE)
         picture = None if fetch is None else fetch()

@@ -40,7 +40,7 @@ class FrameStats:
 
 
 class LitParts(NamedTuple):
-    """The three images from which a lit frame is composed; fields as in `FrameData`."""
+    """The images that add up to a lit frame: captured colours, their weight, and light; fields as in `FrameData`."""
 
     captured: FloatArray
     captured_weight: FloatArray
@@ -83,7 +83,7 @@ class FrameData:
     (H, W, 3), premultiplied by ``captured_weight``. Splat sets whose material emits less than their full colour are not
     in ``captured`` but entirely in ``light``."""
     captured_weight: FloatArray | None = None
-    """Fraction of the pixel that ``captured`` covers, 0..1, (H, W): 1 where only captures and the background are
+    """Fraction of each pixel that captured colours cover, 0..1, (H, W): 1 where only captures and the background are
     visible."""
     light: FloatArray | None = None
     """Signed linear radiance to add to the captured part, (H, W, 3): positive where lights brighten captures, negative
@@ -94,7 +94,8 @@ class FrameData:
     emission: FloatArray | None = None
     """Linear radiance emitted by surfaces, including captured radiance, (H, W, 3)."""
     reflection: FloatArray | None = None
-    """Linear radiance that surfaces show of other surfaces, through mirrors, glass and glossy reflections, (H, W, 3).
+    """Linear radiance of other surfaces that are visible in each pixel's surface, by mirrors, glass and gloss, (H, W,
+    3).
     """
     hits: FloatArray | None = None
     """Number of Gaussians that a ray or a raster pixel blends, averaged over samples, (H, W)."""
@@ -156,7 +157,8 @@ class FrameData:
     sample_count: IntArray | None = None
     """Number of samples averaged in each pixel, not counting samples that were not finite, (H, W)."""
     accumulated: Mapping[str, FloatArray] | None = None
-    """Accumulators for adding samples to the frame, as 32-bit words by name; None: the frame is rasterised."""
+    """Sums and counts to which further samples can be added, as 32-bit words by name; None: the frame has no samples.
+    """
 
     def __repr__(self) -> str:
         camera, (width, height) = self.camera, self.camera.image_size

@@ -42,10 +42,10 @@ RADIANCE = (
     "history",
     "cache",
 )
-"""Fields of a frame that hold layers from `AOVS` as floats."""
+"""Fields of a frame that hold float layers which ``RenderConfig.aovs`` requests, such as albedo or hits."""
 
 COUNTS = ("sample_count", "motion_known", "probes", "cache_cells")
-"""Fields of a frame that hold layers from `AOVS` as integers."""
+"""Fields of a frame that hold integer layers which ``RenderConfig.aovs`` requests, such as sample_count."""
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
 _LABEL_MAX = 60
@@ -58,9 +58,9 @@ class LightLayers(NamedTuple):
     label: str
     """Name of the light, made safe for channel and file names."""
     direct: FloatArray
-    """Reflected radiance from the light without occlusion, (H, W, 3)."""
+    """Radiance reflected from the light if nothing cast shadows, linear, (H, W, 3)."""
     shadow: FloatArray
-    """Unoccluded fraction of ``direct``, 0..1, (H, W, 3)."""
+    """Fraction of ``direct`` that arrives despite shadows, 0..1, (H, W, 3)."""
     total: FloatArray | None
     """Radiance that the light contributes to a path-traced frame, including bounces, (H, W, 3); None in other frames.
     """
@@ -238,7 +238,7 @@ _DISPLAYED_AS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "shadow_ratio": lambda ratio: ratio,
     "shadow_matte": lambda matte: matte[..., 3:].repeat(3, axis=2),
 }
-"""Conversion to display colours for each layer that is not radiance, by layer name."""
+"""Function that converts a layer to display colours, by layer name; layers that are not listed are linear radiance."""
 
 
 def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
@@ -435,7 +435,7 @@ def _position_picture(frame: FrameData) -> Image:
 
 
 def _index_picture(indices: Image, hit: Image) -> Image:
-    """Gives each index a colour, equal in all frames (Knuth's multiplicative hash); black where ``hit`` is False."""
+    """Gives each index a colour, the same in all frames (Knuth's multiplicative hash); black where ``hit`` is False."""
     hashed = indices.astype(np.uint32) * np.uint32(2654435761)
     colors = np.stack([(hashed >> shift) & 0xFF for shift in (8, 16, 24)], axis=-1) / 255.0
     return np.where(hit[..., None], 0.2 + 0.8 * colors, 0.0)

@@ -80,7 +80,7 @@ def matte_channels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matte:
-    """Names that cover most of each pixel, and the fraction of the pixel that each name covers."""
+    """The names that cover most of each pixel, and the fraction of the pixel that each covers (Cryptomatte)."""
 
     kind: str
     """Name of the matte for compositors: ``CryptoObject`` or ``CryptoMaterial``."""

@@ -22,11 +22,11 @@ from lumisplat.math.resampling import cubic_samples
 from lumisplat.scene.camera import Camera
 
 UNDISTORTED_AREA_MAX = 8.0
-"""Largest allowed pixel count of the pinhole image, as a multiple of the distorted image's. Above it most pinhole
-pixels are wasted, and ray tracing is faster."""
+"""Largest ratio of the pixel counts of the pinhole image and the distorted image that is resampled from it. Above it,
+most pinhole pixels would be wasted, and ray tracing is faster."""
 
 UNDISTORTED_SCALE_MAX = 2.0
-"""Largest factor by which the pinhole's focal length exceeds the camera's, where the lens magnifies the image's edges.
+"""Largest ratio of the pinhole image's focal length to the camera's; it exceeds 1 where the lens magnifies the edges.
 """
 
 _Image = npt.NDArray[Any]
@@ -41,9 +41,9 @@ _FILTERED = (
     *("albedo", *PATH_PARTS, "reflection", "hits", "variance", "cache"),
 )
 _FILTER_PX = 3.0
-"""Margin around the resampled window, pixels: the filter's radius plus one."""
+"""Margin, in pixels, of the pinhole image around the part that is resampled: the filter's radius plus one."""
 _BAND_ROWS = 64
-"""Number of image rows that are undistorted at once."""
+"""Number of image rows whose pixels are undistorted at once, which bounds memory."""
 _PER_LIGHT = ("light_direct", "light_shadow")
 """Image fields with one image for each light."""
 
@@ -158,10 +158,10 @@ def _magnifications(camera: Camera) -> Doubles:
 
 
 def _visible_box(camera: Camera) -> tuple[Doubles, Doubles]:
-    """Returns the box that the distorted image's pixel corners span after undistortion: two corners of shape (2,).
+    """Returns the box of all pixel corners of the distorted image after undistortion: two corners of shape (2,).
 
-    Coordinates are tangents of the angle to the optical axis. The box is inf and -inf if no pixel corner has an inverse
-    through the lens.
+    Coordinates are tangents of the angle to the optical axis. The corners are inf and -inf if no pixel corner can be
+    undistorted.
     """
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for first in range(0, camera.height + 1, _BAND_ROWS):
@@ -178,9 +178,9 @@ def _visible_box(camera: Camera) -> tuple[Doubles, Doubles]:
 
 
 def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> Doubles:
-    """Returns where the point (``right``, ``down``) of each distorted pixel, 0..1, lies in the pinhole image.
+    """Returns the position in the pinhole image of a point of each distorted pixel, shape (H, W, 2), pixels.
 
-    Positions are in pixels, shape (H, W, 2); NaN where a pixel has no inverse through the lens.
+    The point's offset in the distorted pixel is (``right``, ``down``), 0..1. NaN: the lens maps no ray to the pixel.
     """
     (width, height), (left, top) = camera.image_size, camera.image_corner
     x, y = np.meshgrid(left + np.arange(width) + right, top + np.arange(height) + down)
@@ -271,7 +271,7 @@ def _filtered(image: _Image, points: list[Doubles], empty: Doubles) -> _Image:
 
 
 def _empty(frame: Frame) -> dict[str, Any]:
-    """Returns each field's value at pixels whose ray has no inverse through the lens: background or "no surface"."""
+    """Returns each field's value at pixels that the lens maps to no ray: the background, or "no surface"."""
     behind = np.array(frame.background or (0.0, 0.0, 0.0))
     is_lit = frame.captured is not None
     values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, *_NEAREST), 0.0)

@@ -19,18 +19,18 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import Doubles, FloatArray
 
 SUMS = ("color", "alpha", "radiance", "squares", "captured_weight", "light")
-"""Names of the accumulated sums of a pixel's samples, in storage order. Only lit frames have the last two."""
+"""Names of the sums that a pixel's samples are accumulated in, in storage order. Only lit frames have the last two."""
 _CHANNELS = {"color": 3, "alpha": 1, "radiance": 3, "squares": 3, "captured_weight": 1, "light": 3}
 
 
 @dataclass(frozen=True)
 class SamplePart:
-    """Accumulated samples of a frame, consecutive by index, as `lumisplat.farm.render_samples` renders them."""
+    """A range of a frame's samples, summed up by one of several processes (see `lumisplat.farm.render_samples`)."""
 
     first: int
-    """Index of the first sample."""
+    """Index in the frame of the part's first sample."""
     count: int
-    """Number of samples."""
+    """Number of consecutive samples that the part sums up."""
     size: tuple[int, int]
     """Width and height of the frame in pixels."""
     accumulated: Mapping[str, FloatArray]
@@ -41,7 +41,7 @@ class SamplePart:
 
     @property
     def samples(self) -> int:
-        """Number of samples; a `Frame` has a field of the same name."""
+        """Number of samples in the part, under the name that the field has in `Frame`."""
         return self.count
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -116,7 +116,7 @@ def merged(parts: Iterable[SamplePart]) -> SamplePart:
 
 
 class _Merger:
-    """Merges parts one after another.
+    """Merges a frame's sample parts one after another.
 
     Args:
         part: First part.
@@ -182,7 +182,7 @@ def _sums(part: SamplePart) -> dict[str, Doubles]:
 
 
 def _means(part: SamplePart) -> dict[str, Doubles]:
-    """Returns the means of the layers by name, each of shape (pixels, 3)."""
+    """Returns the means of a part's layers (AOVs) by name, each of shape (pixels, 3)."""
     layers = part.accumulated.keys() - {"count", "sums"}
     return {
         name: np.ascontiguousarray(part.accumulated[name]).reshape(-1, 3).astype(np.float64) for name in sorted(layers)

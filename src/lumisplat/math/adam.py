@@ -13,7 +13,7 @@ from lumisplat.math.arrays import Doubles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adam:
-    """Moments of an array that Adam updates as a whole, or row by row with a step count for each row."""
+    """Adam's moments of an array that is updated as a whole, or row by row with a step count for each row."""
 
     first: Doubles
     """First moments, in the shape of the array."""
@@ -24,7 +24,7 @@ class Adam:
 
     @classmethod
     def still(cls, shape: tuple[int, ...], *, by_rows: bool = False) -> Adam:
-        """Returns zero moments, for an array before its first update.
+        """Returns moments of 0 and no steps, for an array that was never updated.
 
         Args:
             shape: Shape of the array.

@@ -28,7 +28,7 @@ _LAST_ROW_ERROR = 1e-6 + 1e-5 * _LAST_ROW
 """Largest accepted error of each entry of the last row of an affine transform."""
 
 _UNIT_ERROR = 2e-15
-"""Difference from 1 up to which the length of a vector counts as rounding error of an earlier normalisation."""
+"""Largest difference from 1 of a float64 vector's length at which it counts as normalised and is left unchanged."""
 
 
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
@@ -147,14 +147,14 @@ def box_text(low: npt.NDArray[Any], high: npt.NDArray[Any]) -> str:
 
 
 def refuse_rows(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> None:
-    """Raises a `SceneError` that counts the rows where ``offenders`` is true, if there are any."""
+    """Raises a SceneError that counts the rows where ``offenders`` is True; does nothing if there are none."""
     count = np.count_nonzero(offenders)
     if count:
         raise SceneError(f"{name}: {count:,} of {offenders.size:,} are {problem} (first at index {offenders.argmax()})")
 
 
 def refuse_outside_unit(name: str, values: FloatArray) -> None:
-    """Raises a `SceneError` that counts the rows of ``values`` with a number outside 0..1, if there are any."""
+    """Raises a SceneError that counts the rows of ``values`` with a number outside 0..1, unless there are none."""
     outside = (values < 0.0) | (values > 1.0)
     refuse_rows(name, "outside 0..1", np.asarray(outside.any(axis=tuple(range(1, values.ndim)))))
 

@@ -51,7 +51,7 @@ SHEEN_CURVES = 16
 """Number of intervals in roughness of the sheen albedo table."""
 _TABLE_STEPS = 64
 _TABLE_MARGIN = 0.015
-"""Offset added to the logarithms in the albedo table, because interpolation between its entries underestimates."""
+"""Offset added to the logarithms of sheen albedo in the table, because interpolation between entries underestimates."""
 _SHAPE = np.array(
     [[21.5473, 25.3245], [3.82987, 3.32435], [0.19823, 0.16801], [-1.97760, -1.27393], [-4.32054, -4.85967]]
 )
@@ -59,16 +59,19 @@ _SHAPE = np.array(
 
 
 def masking_curve(alpha: float) -> Doubles:
-    """Returns the five parameters of equation (sheen-masking) in docs/method/materials.md, shape (5,).
+    """Returns the parameters a, b, c, d, e of the masking fit for sheen, equation (sheen-masking), shape (5,).
 
-    ``alpha`` is the squared roughness.
+    ``alpha`` is the squared roughness. The equation is in docs/method/materials.md.
     """
     smooth = (1.0 - alpha) ** 2
     return _SHAPE @ np.array([1.0 - smooth, smooth])
 
 
 def masking(cosine: Doubles, alpha: float) -> Doubles:
-    """Returns Lambda, the masking function of equation (sheen-masking) in docs/method/materials.md."""
+    """Returns Lambda, the masking function of sheen, for cosines to the normal; ``alpha`` is the squared roughness.
+
+    It is equation (sheen-masking) in docs/method/materials.md.
+    """
     a, b, c, d, e = masking_curve(alpha)
 
     def exponent(x: Doubles) -> Doubles:
@@ -79,7 +82,13 @@ def masking(cosine: Doubles, alpha: float) -> Doubles:
 
 
 def sheen_albedo(cosine: float, alpha: float, steps: int = _STEPS) -> float:
-    """Returns the directional albedo of white sheen, integrated by the midpoint rule; above 1 at grazing angles."""
+    """Returns the directional albedo of white sheen, by the midpoint rule; it exceeds 1 at grazing angles.
+
+    Args:
+        cosine: Cosine of the angle between view direction and normal.
+        alpha: Squared roughness.
+        steps: Quadrature steps along each of two axes.
+    """
     z, azimuth = np.meshgrid(*2 * [(np.arange(steps) + 0.5) / steps], indexing="ij")
     sine, view = np.sqrt(1.0 - z**2), np.sqrt(1.0 - cosine**2)
     half = np.stack([sine * np.cos(np.pi * azimuth) + view, sine * np.sin(np.pi * azimuth), z + cosine])

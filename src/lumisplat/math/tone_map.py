@@ -163,7 +163,7 @@ def _agx_curve(x: _Light) -> _Light:
 
 
 _WHITE = 1.0 - 1e-6
-"""Largest display value that is inverted, just below 1: at 1 the curves have no inverse."""
+"""Display value to which larger ones are clipped before a tone map is inverted; at 1 the curves have no inverse."""
 
 
 def remove_tone_map(display: npt.ArrayLike, tone_map: ToneMap) -> Doubles:

@@ -119,7 +119,7 @@ def rotation_between(start: Doubles, end: Doubles) -> Doubles:
 
 
 _SMALL = 1e-4
-"""Angle in radians below which power series replace quotients that would lose digits."""
+"""Rotation angle in radians below which power series replace quotients such as sin(a) / a, which would lose digits."""
 
 
 def cross_matrix(v: npt.ArrayLike) -> Doubles:

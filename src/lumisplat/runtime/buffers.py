@@ -15,7 +15,7 @@ from lumisplat.memory import usable_memory
 from lumisplat.runtime.downloads import Downloads
 
 UNCHECKED_BYTES = 2**20
-"""Size in bytes below which an array is allocated without first querying the memory limits.
+"""Size in bytes up to which an array is allocated without querying how much memory is free.
 
 A first frame allocates 150 arrays, most of them smaller, and a query takes 0.3 ms (measured in a container).
 """
@@ -83,7 +83,7 @@ def bytes_of(*arrays: wp.array[Any]) -> int:
 
 
 def grown_capacity(count: int) -> int:
-    """Rounds a capacity up by at most a quarter, so that small changes do not reallocate."""
+    """Rounds a number of elements up by at most a quarter, so that small changes need no new allocation."""
     step = 1 << max(10, count.bit_length() - 3)
     return -(-count // step) * step
 
@@ -110,7 +110,7 @@ class Buffers:
         again."""
 
     def get(self, name: str, dtype: type[object], shape: int | tuple[int, ...]) -> DeviceArray:
-        """Returns an array of ``shape`` with undefined contents.
+        """Returns the array called ``name``, with elements of ``dtype`` in ``shape``; its contents are undefined.
 
         Raises:
             DeviceError: The device is out of memory.
@@ -179,9 +179,9 @@ class Buffers:
         return block, arrays
 
     def struct(self, name: str, struct_type: type[Struct], count: int, without: Collection[str] = ()) -> Struct:
-        """Returns a struct whose fields are arrays of ``count`` undefined elements, named ``name.field``.
+        """Returns a struct whose array fields have ``count`` undefined elements, in buffers called ``name.field``.
 
-        Fields named in ``without`` get no array; kernels then read the field as False.
+        Fields named in ``without`` get no array; in kernels, such a field is False in a condition.
         """
         struct: Any = struct_type
         filled = struct_type()

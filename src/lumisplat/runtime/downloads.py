@@ -21,7 +21,7 @@ import numpy.typing as npt
 import warp as wp
 
 FRAME_BLOCKS_MAX = 3
-"""Largest number of frames per renderer that hold page-locked memory, and of frames that hold a copy on the GPU.
+"""Largest number of frames per renderer that hold page-locked host memory; also of frames that hold a copy on the GPU.
 
 Three suffice for one frame on display, one being saved and one being rendered."""
 
@@ -40,7 +40,7 @@ class Copies(Protocol):
         ...
 
     def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """Returns the result of ``read``, or ``read`` itself if its words should be downloaded only when needed."""
+        """Returns the result of ``read``; if the copies are still on the device, ``read`` itself, for later use."""
         ...
 
 
@@ -109,7 +109,7 @@ class DeviceCopies:
 
 
 class Downloads:
-    """Pool of memory for downloads, shared by all threads.
+    """Pool of host and device memory blocks for copies of frames, shared by all threads.
 
     A block returns to the pool when the object that holds it is finalised, on any thread and at any moment, even while
     that thread takes a block. Finalizers therefore take no lock; they append the block to a deque, whose operations are
@@ -130,7 +130,7 @@ class Downloads:
 
     @property
     def lent(self) -> dict[str, int]:
-        """Number of memory blocks in use, for each kind of memory."""
+        """Number of memory blocks in use, by kind: page-locked host memory and device memory."""
         with self._lock:
             self._take_back()
             return dict(self._lent)
@@ -182,7 +182,7 @@ class Downloads:
         return block
 
     def _lend(self, kind: str, size: int, make: Callable[[], DeviceArray]) -> DeviceArray | None:
-        """Takes a free block of ``size`` words from the pool, or makes one; None if all blocks are in use.
+        """Takes a free block of ``size`` words from the pool, or makes one; None if too many of the kind are in use.
 
         Free blocks of other sizes are released.
         """

@@ -10,9 +10,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def deferred_interrupt() -> Generator[Callable[[], bool]]:
-    """Defers the first Ctrl C; yields a function that returns whether Ctrl C was pressed. A second Ctrl C interrupts.
+    """Defers the first Ctrl C until the block ends; yields a function that returns whether it was pressed.
 
-    Nothing changes in threads other than the main one, and in programs that have set a handler for Ctrl C.
+    A second Ctrl C interrupts at once. Nothing changes in threads other than the main one, and in programs that have
+    set a handler for Ctrl C.
     """
     pressed = threading.Event()
 

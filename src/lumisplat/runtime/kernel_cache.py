@@ -31,7 +31,8 @@ _ELF_SECTIONS_OFFSET, _ELF_SECTIONS_SIZE = struct.Struct("<40xQ"), struct.Struct
 the number of entries."""
 
 _OWNER = "lumisplat.pid"
-"""Name of the file that stores the id of the process that uses a folder."""
+"""Name of the file, in a folder of Warp's precompiled headers, that holds the id of the process that uses the folder.
+"""
 _OF_NVRTC = re.compile(r"__nvrtc_auto_pch_(\d+)_\d+")
 _ABANDONED_AFTER_S = 24 * 3600.0
 """Age in seconds above which a folder of precompiled headers counts as abandoned if no process id is stored."""
@@ -121,7 +122,7 @@ def _is_alive(process: int) -> bool:
 
 
 def _folder(module: KernelModule, block_threads: int) -> Path:
-    """Returns Warp's cache folder of a module."""
+    """Returns the folder of Warp's cache where a module's binaries are stored."""
     return Path(wp.config.kernel_cache_dir or "", warp_module_of(module).get_module_identifier(block_threads))
 
 

@@ -121,7 +121,7 @@ def _blocks_on_cpus() -> Generator[None]:
 
 @dataclass(slots=True)
 class _Replayed:
-    """Work that `Launcher.replay` ran with a key, and its CUDA graph once the graph is captured."""
+    """Result of work that `Launcher.replay` has run, and its CUDA graph once it is captured."""
 
     key: object
     graph: wp.Graph | None = None
@@ -157,13 +157,14 @@ class Launcher:
         """Clock of the stage times in seconds: wall time by default; ``time.process_time`` on shared machines."""
         self._pass = ""
         self._stop: Callable[[], bool] | None = None
-        """Function that is called before each band of a CPU launch; True stops the launch."""
+        """Function that is called before each band (range of threads) of a CPU launch; when it returns True, the
+        launch stops."""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
         self._loaded: dict[int, KernelModule] = {}
         """Loaded modules by ``id``; the reference to the module keeps the id from being reused."""
         self._banded: set[object] = set()
-        """Modules whose kernels have run in bands on several threads."""
+        """Modules of which kernels have run in bands (ranges of thread indices) on several CPU threads."""
         if self.is_cuda:
             retain_pool(self.device)
 
@@ -207,7 +208,7 @@ class Launcher:
         self._loaded |= {id(module): module for module in missing}
 
     def run(self, kernel: Kernel, count: int, *inputs: object) -> None:
-        """Runs ``count`` items of ``kernel`` in one launch."""
+        """Launches ``kernel`` once with ``count`` thread indices; ``inputs`` are the kernel's parameters."""
         if count:
             wp.launch(  # pyright: ignore[reportUnknownMemberType]
                 kernel, dim=count, inputs=inputs, device=self.device, block_dim=self._threads_of(kernel)
@@ -384,11 +385,11 @@ class Launcher:
         return self.is_cuda and not self.profile and bool(device.is_mempool_enabled)
 
     def _threads_of(self, kernel: Kernel) -> int:
-        """Returns the threads per block with which a kernel of independent items is launched."""
+        """Returns the block size with which a kernel whose threads are independent is launched; 1 on the CPU."""
         return block_threads(kernel) if self.is_cuda else 1
 
     def _load(self, module: KernelModule) -> None:
-        """Compiles and loads a module for the block size with which its kernels are launched."""
+        """Compiles and loads a module for the block size (threads per block) with which its kernels are launched."""
         warp_module = warp_module_of(module)
         has_blocks = warp_module.name.endswith("blocks")
         threads = block_threads(warp_module) if has_blocks or self.is_cuda else 1

@@ -1,4 +1,4 @@
-"""Initialises Warp without a warning about a missing CUDA driver."""
+"""Initialises Warp, and hides its warning that there is no CUDA driver."""
 
 from __future__ import annotations
 

@@ -1,1 +1,4 @@
-"""Deep Gaussian shadow maps: tabulated transmittance of a light through Gaussians (docs/method/deep_shadow_maps.md)."""
+"""Deep Gaussian shadow maps: tables of the transmittance from a light through Gaussians.
+
+The method is in docs/method/deep_shadow_maps.md.
+"""

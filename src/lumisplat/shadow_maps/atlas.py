@@ -1,4 +1,4 @@
-"""Atlas (texel layout) of a light's deep shadow map, fitted to casters or receivers, and its tabulated texels.
+"""Atlas (texel layout) of a light's deep shadow map, and the region of texels and depth bins that is tabulated.
 
 Source: docs/method/deep_shadow_maps.md#region.
 """
@@ -37,8 +37,8 @@ from lumisplat.scene.local_frame import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 SHADOW_BLOCKING_REACH = 6.0
-"""Number of standard deviations from a Gaussian's mean beyond which absorption is negligible: erfc(6 / sqrt(2)) is
-2e-9."""
+"""Distance from a Gaussian's mean, in standard deviations, beyond which it blocks no light: erfc(6 / sqrt(2)) is 2e-9.
+"""
 
 Source = npt.NDArray[np.float64] | LightDirectional
 """Position of a point light, shape (3,), or a directional light."""
@@ -80,7 +80,7 @@ def atlas_of(source: Source, around: PlacedGaussians, config: DeepShadowConfig) 
 
 
 def shadow_bound(atlas: Atlas, footprints: npt.NDArray[np.void] | None) -> ShadowBound:
-    """Returns a volume that encloses the shadows of casters.
+    """Returns a volume that contains all points that casters can shadow: a cone for a point light, else a cylinder.
 
     Args:
         atlas: The light's atlas.
@@ -166,33 +166,38 @@ def _fit_plane(atlas: Atlas, source: LightDirectional, around: PlacedGaussians, 
 
 
 def _reach(around: PlacedGaussians) -> npt.NDArray[np.floating]:
-    """Returns the radius of each of N Gaussians' footprints, scene units, shape (N,)."""
+    """Returns the radius of each of N Gaussians' footprints, 3 of its largest standard deviation, shape (N,)."""
     return SHADOW_FOOTPRINT * around.scales.max(axis=1, initial=0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Texels and depth bins whose transmittance is tabulated; everywhere else the transmittance is 1."""
+    """Texels and depth bins of a deep shadow map whose transmittance is tabulated; it is 1 in all other bins.
+
+    A column is the range of depth bins of one texel.
+    """
 
     texels: IntArray
-    """Index of each texel that has a column of bins, ascending."""
+    """Index of each texel that has a column (range of depth bins), ascending."""
     first: IntArray
-    """Index of the first bin of each column, in the order of ``texels``."""
+    """Index of the first tabulated depth bin of each texel in ``texels``."""
     count: IntArray
-    """Number of bins of each column, in the order of ``texels``."""
+    """Number of tabulated depth bins of each texel in ``texels``."""
 
     @property
     def voxel_count(self) -> int:
-        """Number of bins over all columns."""
+        """Number of tabulated depth bins over all texels."""
         return int(self.count.sum(dtype=np.int64))
 
     @property
     def tiles(self) -> IntArray:
-        """Indices of the tiles that contain columns, ascending."""
+        """Indices of the tiles (squares of texels) that contain tabulated texels, ascending."""
         return np.unique(self.texels // TILE_TEXELS)
 
     def columns(self, atlas: Atlas) -> tuple[IntArray, npt.NDArray[np.void]]:
-        """Returns the storage slot of each tile (-1: no slot), and a row of Column for each texel of each slot's tile.
+        """Returns the table's layout: the slot of each tile of the atlas, and a Column row per texel of each slot.
+
+        A tile without tabulated texels has slot -1; rows of texels that are not tabulated are 0.
 
         Raises:
             SceneError: The region has 2^31 bins or more.
@@ -224,7 +229,7 @@ def whole_region(atlas: Atlas) -> Region:
 
 
 def all_tiles(atlas: Atlas) -> IntArray:
-    """Returns the indices of all tiles."""
+    """Returns the indices of all tiles (squares of texels) of an atlas."""
     return np.arange(texel_count(atlas) // TILE_TEXELS, dtype=np.int32)
 
 
@@ -244,7 +249,7 @@ def region_of_casters(atlas: Atlas, casters: PlacedGaussians, tiles: IntArray) -
 def region_of_receivers(
     launcher: Launcher, atlas: Atlas, receivers: Receivers, rows: IntArray, sampling: FootprintSampling
 ) -> Region:
-    """Returns the region that shadow lookups of some receivers read; ``rows`` holds the indices of these receivers."""
+    """Returns the texels and depth bins that shadow look-ups of the receivers with indices ``rows`` read."""
     buffers = Buffers(launcher.device)  # temporary arrays over all texels
     firsts = buffers.get("region.firsts", wp.int32, texel_count(atlas))
     lasts = buffers.get("region.lasts", wp.int32, texel_count(atlas))

@@ -29,7 +29,7 @@ Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
 _EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
 
 SURFACES_HELD = 64
-"""Largest number of meshes whose Gaussians are cached; beyond it, the least recently used mesh is dropped."""
+"""Largest number of meshes whose conversion to Gaussians is cached; then the least recently used one is dropped."""
 
 
 class MeshesAsGaussians:
@@ -185,7 +185,7 @@ def upload_receivers(buffers: Buffers, placed: PlacedGaussians) -> Receivers:
 
 
 def footprint_sampling(config: DeepShadowConfig, receivers: PlacedGaussians) -> FootprintSampling:
-    """Returns pattern and number of samples in each receiver's footprint; points are sampled once, at the mean."""
+    """Returns at which points of each receiver's footprint the shadow is looked up; points have one, the mean."""
     sampling = FootprintSampling()
     sampling.pattern, sampling.count = _PATTERN[config.sampling], config.samples
     sampling.seed = wp.uint32(config.seed)

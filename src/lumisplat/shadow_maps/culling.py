@@ -18,15 +18,16 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 SHADOW_BLOCK_TILES = 8
-"""Side, in tiles, of the blocks of tiles for which casters are culled first: 256 blocks if the atlas has 1024 x 1024
-texels."""
+"""Side, in tiles, of the squares for which casters are culled first, before the single tiles: 256 squares in an atlas
+of 1024 x 1024 texels."""
 
 BANDS_PER_THREAD = 16
 """Number of launches per CPU thread; each launch processes a range of cells. Many small ranges balance cells of
 different cost: some have many casters, others none."""
 
 PARALLEL_PARTS = 2**16
-"""Number of parts into which CUDA splits the caster lists of all cells together, because cells are few and lists long.
+"""Number of parts into which CUDA splits the caster lists of all cells together, one thread each, because cells are
+few and lists are long.
 """
 
 
@@ -37,7 +38,7 @@ class CulledCasters:
     lists: CasterLists
     """The caster lists on the device."""
     counts: IntArray
-    """Number of casters in each list."""
+    """Number of casters in the list of each cell."""
 
 
 class OneList:
@@ -51,7 +52,7 @@ class OneList:
         self._buffers = buffers
 
     def cull(self, footprints: DeviceArray) -> CulledCasters:
-        """Returns one list of all casters; there is one footprint for each caster."""
+        """Returns one list of all casters; ``footprints`` has one row for each caster."""
         return CulledCasters(list_of_all(self._buffers, footprints), np.array([footprints.shape[0]], np.int32))
 
     def list_numbers(self, texels: IntArray) -> IntArray:
@@ -60,9 +61,9 @@ class OneList:
 
 
 class TileLists:
-    """Culls casters by tiles of the atlas: lists the casters that light rays through each tile may intersect.
+    """For each tile (square of texels) of the atlas, lists the casters that light rays through it may intersect.
 
-    Casters are culled for blocks of tiles first, then for the tiles of each block.
+    Casters are culled for squares of tiles first, then for the tiles of each square.
 
     Args:
         launcher: Runs the kernels.
@@ -96,7 +97,10 @@ class TileLists:
         return np.searchsorted(self.tiles, texels // TILE_TEXELS).astype(np.int32)
 
     def _narrow(self, name: str, cells: DeviceArray, footprints: DeviceArray, lists: CasterLists) -> CulledCasters:
-        """Returns, for each cell, the casters from its parent's list that light rays through the cell may intersect."""
+        """Returns, for each cell, those casters of its parent's list that light rays through the cell may intersect.
+
+        Cells are the squares that are culled next; ``lists`` holds the lists of the larger squares that contain them.
+        """
         parts = max(PARALLEL_PARTS // max(cells.shape[0], 1), 1) if self._launcher.is_parallel else 1
         count, run = cells.shape[0] * parts, self._launcher.run_banded
         bands = BANDS_PER_THREAD * self._launcher.threads
@@ -118,7 +122,14 @@ class TileLists:
     def _cells(
         self, name: str, corners: npt.NDArray[np.integer], side: int, parents: npt.NDArray[np.integer]
     ) -> DeviceArray:
-        """Creates rows of Cell for C squares of ``side`` texels; rows of ``corners``: face, x, y of the first texel."""
+        """Returns rows of Cell (bounds of light rays) for squares of ``side`` texels.
+
+        Args:
+            name: Prefix of the buffers' names.
+            corners: Face of the atlas, column and row of each square's first texel.
+            side: Side of the squares, texels.
+            parents: Index of the caster list of the larger square that contains each square.
+        """
         cells = self._buffers.get(f"{name}.cells", Cell, len(corners))
         uploaded = (
             self._buffers.upload(f"{name}.corners", wp.vec3i, corners.astype(np.int32)),

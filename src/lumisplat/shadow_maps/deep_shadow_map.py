@@ -77,13 +77,13 @@ class DeepShadowStats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layout:
-    """The columns of depth bins of a region, on the device."""
+    """Texels and depth bins of the last build, on the device."""
 
     region: Region
     texels: DeviceArray
-    """Index of each texel that has a column."""
+    """Index of each tabulated texel."""
     list_of_texel: DeviceArray
-    """Index of the caster list of each texel in ``texels``."""
+    """For each texel in ``texels``, the index of the list of casters that may shadow it."""
     values: DeviceArray
     """Transmittance of all bins; the array that ``table`` refers to."""
     table: Table
@@ -106,14 +106,15 @@ class DeepShadowMap:
         """Settings."""
         self._source, self._launcher = source, launcher
         self._frame = LocalFrame(np.zeros(3))
-        """Local frame of the map, around the casters of the first build."""
+        """Origin and unit to which the map is relative, chosen around the casters of the first build."""
         self._buffers = Buffers(launcher.device)
         self._meshes = MeshesAsGaussians()
         self._atlas = Atlas()
         self._fixed_region: Region | None = None
-        """Region that all builds tabulate; None: each build tabulates the region that its casters can shadow."""
+        """Texels and depth bins that all builds tabulate, chosen for receivers; None: each build tabulates what its
+        casters can shadow."""
         self._fixed_tiles: TileLists | None = None
-        """Culling for the tiles of the fixed region, created when first needed."""
+        """Culls casters for the tiles of ``_fixed_region``; created by the first build that needs it."""
         self._layout: _Layout | None = None
         """Columns of the last build on the device; None before the first build."""
         self._bound = ShadowBound()
@@ -330,7 +331,7 @@ class DeepShadowMap:
         return occluders, footprints
 
     def _culling(self) -> TileLists | OneList:
-        """Returns the object that culls casters as the settings require."""
+        """Returns the object that lists casters by tile, or one that makes a single list if ``culling`` is disabled."""
         if not self.config.culling:
             return OneList(self._buffers)
         if self._fixed_region is None:
@@ -340,7 +341,7 @@ class DeepShadowMap:
         return self._fixed_tiles
 
     def _layout_for(self, region: Region, culling: TileLists | OneList) -> _Layout:
-        """Returns the columns of a region on the device; reuses the last build's columns if the region is the same."""
+        """Uploads the layout of a region's texels and depth bins, unless it is that of the last build."""
         if self._layout is None or self._layout.region is not region:
             slots, columns = region.columns(self._atlas)
             values = self._buffers.get("table", wp.float32, region.voxel_count)

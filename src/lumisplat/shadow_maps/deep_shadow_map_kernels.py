@@ -71,9 +71,10 @@ def bound_cells(
     parents: wp.array[int],
     cells_out: wp.array[Cell],
 ):
-    """Bounds the light rays through squares of ``side`` texels. One thread per square, called a cell.
+    """Per cell (square of ``side`` texels): bounds the light rays through it.
 
-    ``corners`` holds face, x and y of the first texel of each square.
+    ``corners`` holds face, column and row of each square's first texel, and ``parents`` the caster list of the larger
+    square that contains it.
     """
     i = start + wp.tid()
     cells_out[i] = bounded_cell(atlas, corners[i], side, parents[i])
@@ -89,9 +90,9 @@ def count_intersections(
     parts: int,
     counts_out: wp.array[int],
 ):
-    """Counts the casters from a cell's parent list that rays through the cell may intersect.
+    """Counts the casters that rays through a cell may intersect, among those of the larger square around the cell.
 
-    Each parent list is split into ``parts``; one item is one part of one cell's parent list.
+    The list of the larger square is split into ``parts``; one thread per part of one cell's list.
     """
     i = start + wp.tid()
     cell = cells[i // parts]
@@ -114,9 +115,9 @@ def list_intersections(
     ends: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Lists the casters that `count_intersections` counted, in order. One thread per part of one cell's parent list.
+    """Lists the casters that `count_intersections` counted, in order. One thread per part of one cell's list.
 
-    ``ends`` holds the end of each item's list in ``items_out``.
+    ``ends`` holds the end of each thread's entries in ``items_out``.
     """
     i = start + wp.tid()
     cell = cells[i // parts]

@@ -45,10 +45,10 @@ class StoredMap:
     atlas: Atlas
     region: Region
     values: FloatArray
-    """Transmittance of each bin of the region, 0..1, column by column."""
+    """Transmittance of each tabulated depth bin, 0..1, texel by texel."""
     follows_casters: bool
-    """True if the region is what the casters can shadow, so that a rebuild with other casters tabulates another
-    region."""
+    """True if the map tabulates what its casters can shadow, so that a rebuild with other casters tabulates other
+    texels and bins; False if it was built for receivers."""
 
 
 def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:

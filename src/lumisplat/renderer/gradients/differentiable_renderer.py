@@ -268,7 +268,7 @@ class DifferentiableRenderer(Renderer):
     def _given(
         self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None
     ) -> tuple[FloatArray, PixelGradient]:
-        """Checks the upstream gradients at pixels; returns the colour gradient on the host, and both on the device."""
+        """Checks a caller's gradients at pixels; returns those of colours, and the device's copy of all."""
         by_color = given_array("dL_dcolor", dL_dcolor, (*shape, 3))
         by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else given_array("dL_dalpha", dL_dalpha, shape)
         gradient = PixelGradient()
@@ -289,7 +289,7 @@ class DifferentiableRenderer(Renderer):
     def _by_features(
         self, drawn: DrawnSplats, dL_dfeatures: npt.ArrayLike, shape: tuple[int, int], by_splat: DeviceArray
     ) -> FloatArray:
-        """Returns the gradients with respect to features, and adds their gradients of splat shapes to ``by_splat``."""
+        """Returns gradients with respect to features; adds the resulting gradients of splat shapes to ``by_splat``."""
         if self._rendered_features is None:
             raise ConfigError("gradients: call render_features for this frame before passing dL_dfeatures")
         count = self._rendered_features.count

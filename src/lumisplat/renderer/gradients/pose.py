@@ -19,7 +19,7 @@ from lumisplat.scene.scene import SplatInstance
 
 @dataclass(frozen=True, slots=True)
 class PoseSums:
-    """Contribution of one splat instance to the gradient with respect to the camera pose; float64."""
+    """What one splat instance adds to the gradient with respect to the camera pose; float64."""
 
     camera_from_object: Doubles
     """Gradient with respect to the linear part of the camera-from-object matrix, shape (3, 3)."""
@@ -30,7 +30,7 @@ class PoseSums:
 
 
 def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Doubles:
-    """Converts one instance's sums to the gradient of the upper three rows of ``camera_from_world``, shape (3, 4).
+    """Converts one instance's PoseSums to the gradient of the upper three rows of ``camera_from_world``, shape (3, 4).
 
     The instance's camera-from-object matrix is ``camera_from_world @ world_from_object``. The eye is the point that
     ``camera_from_world`` maps to 0.
@@ -46,9 +46,9 @@ def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Do
 
 
 def pose_of_rays_gradient(motions: DeviceArray, instances: Sequence[SplatInstance], camera: Camera) -> Doubles:
-    """Returns the gradient of the upper rows of ``camera_from_world``, shape (3, 4), restricted to rigid motions.
+    """Returns the gradient of the upper rows of ``camera_from_world``, (3, 4), from gradients of rigid ray motions.
 
-    The rays move with their camera as a rigid body (docs/method/gradients.md#pose-of-rays).
+    It is restricted to rigid motions: the rays move with their camera (docs/method/gradients.md#pose-of-rays).
 
     Args:
         motions: Gradients with respect to rigid motions of the rays, one ``RayMotion`` for each Gaussian of the scene.

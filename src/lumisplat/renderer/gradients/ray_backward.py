@@ -42,8 +42,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 BACKWARD_HITS = 2**22
-"""Largest number of hits whose gradients are on the device at once: 44 bytes each, some 180 MiB; more only if a single
-ray packet has more hits."""
+"""Largest number of hits whose gradients are on the device at once, 44 bytes each, together 180 MiB. A single packet
+of rays may exceed it."""
 
 Struct = TypeVar("Struct")
 
@@ -213,7 +213,7 @@ class RayBackward:
         Args:
             count: Number of rays on the device; rays beyond the caller's get gradients of 0.
             color: Gradients with respect to the colours of the rays, shape (N, 3).
-            behind: For each ray, gradient times value, summed over radiance and transmittance, shape (N,).
+            behind: For each ray, dL/dradiance . radiance + dL/dtransmittance * transmittance, shape (N,).
         """
         out = self._buffers.struct("backward.rays", RayGradient, count)
         missing = count - len(color)
@@ -314,7 +314,7 @@ class RayBackward:
 
 
 def _rows_of(struct_type: type[Struct], arrays: Struct, rows: slice) -> Struct:
-    """Returns a struct of arrays with a slice of each array."""
+    """Returns a struct whose arrays are the given slice of each array of another struct."""
     struct: Any = struct_type
     view = struct_type()
     for name, _ in struct.vars.items():

@@ -137,7 +137,7 @@ def backward_ray_gaussians(
     motions_out: wp.array[RayMotion],
     gaussians_out: GaussianGradient,
 ):
-    """Per Gaussian of an asset: sums its gradients over all instances, and writes ray-motion gradients per instance."""
+    """Per Gaussian of an asset: sums its gradients over all instances; writes each instance's ray motion gradient."""
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]

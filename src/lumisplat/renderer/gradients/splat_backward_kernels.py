@@ -107,7 +107,7 @@ def add_pairs(
 
 @wp.func
 def evaluated_degree(settings: RasterData, instance: SplatInstanceData, sh_count: int) -> int:
-    """Returns the SH degree at which the frame evaluates an instance: the lowest of settings, instance and asset."""
+    """Returns the SH degree that the frame evaluates: the lowest of the settings', the instance's and the set's."""
     stored = int(wp.sqrt(float(sh_count))) - 1
     return wp.min(wp.min(settings.sh_degree, instance.sh_degree), stored)
 
@@ -122,7 +122,7 @@ def write_sh(
     is_added: bool,
     gaussians_out: GaussianGradient,
 ):
-    """Writes the gradients of one Gaussian's SH coefficients, or adds them if ``is_added``."""
+    """Writes the gradients of one Gaussian's SH coefficients or, if ``is_added``, adds them to those there."""
     used = (degree + 1) * (degree + 1)
     for k in range(SH_COEFFICIENTS):  # unrolled, so that the basis stays in registers
         if k < sh_count:

@@ -1,1 +1,1 @@
-"""Light transport: the radiance of a frame's rays over all bounces."""
+"""Light transport: integrators that compute the radiance of a frame's rays over all bounces."""

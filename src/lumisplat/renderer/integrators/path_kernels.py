@@ -52,12 +52,14 @@ wp.set_module_options(SHADE_OPTIONS)
 # Branch numbers of a ray's random key. The next ray has 0; device/light/direct_light.py and
 # device/path/contributions.py use further numbers.
 DIRECTION_BRANCH = wp.constant(6)
-"""Random key for the direction in which a path continues from a surface."""
+"""Number by which the random key of the direction in which a path continues is derived from its ray's key."""
 SURFACE_BRANCH = wp.constant(7)
-"""Random key for the surface and the BSDF lobe by which a path continues."""
+"""Number by which the random key of the choice of surface and BSDF lobe for a path's next ray is derived from its
+ray's key."""
 ROULETTE_BRANCH = wp.constant(8)
 AMBIENT_BRANCH = wp.constant(9)
-"""Random key for the stochastic shadow of Gaussians in ambient light on a shadow catcher."""
+"""Number by which the random key of ambient shadow rays from shadow catchers, which stochastic shadows of Gaussians
+use, is derived from the ray's key."""
 
 
 @wp.kernel
@@ -78,9 +80,9 @@ def begin_paths(start: int, paths_out: wp.array[PathData]):
 
 @wp.kernel
 def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathData], ends_out: wp.array[float]):
-    """Per ray: writes the distance up to which `RayTracer.find_captured` traces the ray through captures alone.
+    """Per ray: writes how far `RayTracer.find_captured` traces it: infinitely if it leaves a shadow catcher, else -1.
 
-    The distance is infinity for rays that leave a shadow catcher, and -1 (not traced) for all other rays.
+    -1 means that the ray is not traced.
     """
     i = start + wp.tid()
     ends_out[i] = -1.0
@@ -104,7 +106,7 @@ def start_ambient_rays(
     rays_out: RayData,
     skips_out: wp.array[wp.bool],
 ):
-    """Starts a shadow ray along each ray that leaves a shadow catcher with ambient light."""
+    """Starts a shadow ray along each path's ray that leaves a shadow catcher which ambient light reaches."""
     i = start + wp.tid()
     skips_out[i] = True
     rays_out.is_active[i] = False
@@ -138,7 +140,7 @@ def add_captured_light(
     captured: GaussianHits,
     images_inout: wp.array[PathImages],
 ):
-    """Adds the irradiance on shadow catchers in the capture without added objects.
+    """Adds the light on shadow catchers that the capture alone causes, without added objects.
 
     A path that leaves a shadow catcher estimates the irradiance: radiance from other shadow catchers, and from the
     environment behind them.
@@ -147,7 +149,7 @@ def add_captured_light(
         start: Offset added to the thread index, which is the index of a ray.
         no_shadows: Whether light passes through everything.
         scene: The scene.
-        wave: The wave of the rays.
+        wave: The rays, all after the same number of bounces.
         paths: The paths of the rays.
         captured: Radiance from shadow catchers only, along the rays that leave shadow catchers.
         images_inout: Images that receive the light.
@@ -172,7 +174,7 @@ def ray_escaped_radiance(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> wp.vec3:
-    """Returns the linear environment radiance behind ray ``i`` of wave ``number``; 0 if a mesh ends the ray."""
+    """Returns the linear environment radiance behind ray ``i`` after ``number`` bounces; 0 if a mesh ends the ray."""
     if wave[0].meshes.face[i] >= 0:
         return wp.vec3(0.0)
     direction = wave[0].rays.direction[i]
@@ -239,7 +241,7 @@ def add_hit_radiance(
 
 @wp.func
 def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: wp.array[PathSteps]):
-    """Writes the next ray of path ``i``, except for throughput and flags, which depend on the path's earlier steps."""
+    """Writes the next ray of path ``i``; `spawn_paths` adds throughput and flags, which depend on earlier steps."""
     steps[0].goes_on[i] = 1
     steps[0].rays.origin[i] = step.origin
     steps[0].rays.direction[i] = step.direction
@@ -374,7 +376,7 @@ def spawn_paths(
     rays_out: RayData,
     paths_out: wp.array[PathData],
 ):
-    """Writes the next ray of each path that continues to the next wave."""
+    """Writes the next ray of each path that continues to the next bounce, without gaps in the arrays."""
     i = start + wp.tid()
     if steps[0].goes_on[i] == 0:
         return

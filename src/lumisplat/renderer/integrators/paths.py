@@ -1,4 +1,7 @@
-"""Host pass: radiance of primary hits by path tracing, wave by wave (Kajiya 1986; Veach 1997)."""
+"""Host pass: radiance of camera rays by path tracing, bounce by bounce (Kajiya 1986; Veach 1997).
+
+A wave is all rays of paths that are still alive after the same number of bounces.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,8 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 SPAWNED_FIELDS = frozenset({"is_active", "t_max", "sample_key", "pixel_key", "sample"})
-"""Ray fields that `spawn_paths` computes from the previous ray, so that steps do not store them."""
+"""Fields of the next ray that `spawn_paths` computes from the previous ray, so that `PathSteps` needs no arrays for
+them."""
 
 
 class PathIntegrator:
@@ -50,7 +54,7 @@ class PathIntegrator:
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the wave of primary rays with their radiance over all bounces. CUDA replays a recorded CUDA graph.
+        """Returns the camera rays with their radiance over all bounces. CUDA replays a recorded CUDA graph.
 
         Args:
             scene: The device scene, synced.
@@ -65,7 +69,7 @@ class PathIntegrator:
             )
 
     def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
-        """Traces the paths that begin at the primary hits in ``hits``, wave by wave; returns the first wave."""
+        """Traces the paths that begin at the camera rays' hits, bounce by bounce; returns the camera rays' radiance."""
         paths = self._begin(plan, hits)
         first = wave = self._wave(scene, plan, hits, paths, 0)
         if first.count == 0:
@@ -98,7 +102,7 @@ class PathIntegrator:
         return paths
 
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
-        """Evaluates the surfaces that a wave's rays hit; returns the wave with emission, before lights are sampled."""
+        """Evaluates the surfaces that the paths' rays hit; returns the rays' emission, before lights are sampled."""
         # Two sets of buffers suffice: one for the first wave, one for later waves, which end before the next begins.
         carried = CarriedState(media=device_array(paths.media) if plan.has_media and number > 0 else None)
         return self._surfaces.shade(
@@ -138,7 +142,7 @@ class PathIntegrator:
     def _extend(
         self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, images: PathImages
     ) -> PathSteps:
-        """Adds the radiance at a wave's hits and from sampled lights; returns the next ray of each path."""
+        """Adds the radiance at the rays' hits and from sampled lights to images; returns the next ray of each path."""
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         shadows, steps = self._shadow_rays(plan, count), self._steps(plan, count)
@@ -174,7 +178,7 @@ class PathIntegrator:
     def _spawn(
         self, wave: RayWave, paths: PathData, steps: PathSteps, number: int, *, rays: RayData, next_paths: PathData
     ) -> None:
-        """Writes the rays of wave ``number`` and the paths that they belong to."""
+        """Writes the rays of paths after ``number`` bounces, and the paths that they belong to, without gaps."""
         rays.is_active.zero_()
         rows = (
             self._row(f"paths{(number - 1) % 2}", PathData, paths),
@@ -185,9 +189,10 @@ class PathIntegrator:
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
 
     def _row(self, name: str, struct: type[Struct], arrays: Struct) -> DeviceArray:
-        """Returns a struct of path arrays as a table with one row; passed by value, each item would copy the struct.
+        """Returns a struct of path arrays as a table with one row; passed by value, each thread would copy the struct.
 
-        Waves alternate between two sets of arrays with fixed names, so that a recorded CUDA graph uploads no row.
+        Rays after successive bounces alternate between two sets of arrays with fixed names, so that a recorded CUDA
+        graph uploads no row.
         """
         return self._buffers.table(f"path.{name}.row", struct, [arrays])
 
@@ -201,7 +206,7 @@ class PathIntegrator:
         return steps
 
     def _shadow_rays(self, plan: FramePlan, count: int) -> PathShadowRays:
-        """Returns arrays for shadow rays to sampled lights, and to visible lights if captures may hide them."""
+        """Returns arrays for shadow rays to sampled lights, and to lights that rays hit behind translucent captures."""
         total = 2 * count if plan.shows_lights_in_haze else count
         without = {"rays", *unused_fields(plan)}
         if "lights" not in plan.aovs:
@@ -214,12 +219,12 @@ class PathIntegrator:
 
 
 def _buffer_index(number: int) -> int:
-    """Returns which set of arrays a wave uses: 0 for the first wave; later waves alternate between 1 and 2."""
+    """Returns which set of arrays rays after ``number`` bounces use: 0 for camera rays, then 1 and 2 in turn."""
     return 0 if number == 0 else 1 + number % 2
 
 
 def unused_fields(plan: FramePlan) -> list[str]:
-    """Returns the names of the path fields that a frame does not need."""
+    """Returns the names of PathData fields for which a frame needs no arrays."""
     return ["diffuse"] * (not plan.has_path_layers) + ["media"] * (not plan.has_media)
 
 
@@ -235,13 +240,14 @@ class PathLayers:
         self._images = PathImages()
 
     def begin(self, plan: FramePlan, first: RayWave, lights: int) -> PathImages:
-        """Returns the images that paths add to. Images that belong to `PathLayers` are set to 0.
+        """Returns the images that paths add to, such as radiance by light and by bounce, set to 0.
 
-        ``light`` and the images of shadow catchers are arrays of the first wave.
+        The images of all light and of the light on shadow catchers are not new: they are the camera rays' radiance
+        arrays.
 
         Args:
             plan: Plan of the frame, with its layers.
-            first: The first wave.
+            first: The camera rays.
             lights: Number of lights of the frame.
         """
         count = first.count

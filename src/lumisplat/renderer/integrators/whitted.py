@@ -1,4 +1,7 @@
-"""Host pass: radiance of primary hits by direct light, specular reflection and refraction (Whitted 1980)."""
+"""Host pass: radiance of camera rays by direct light, specular reflection and refraction (Whitted 1980).
+
+A wave is all rays after the same number of reflections and refractions.
+"""
 
 from __future__ import annotations
 
@@ -43,10 +46,10 @@ class WhittedIntegrator:
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the wave of primary rays with their radiance over all bounces.
+        """Returns the camera rays with their radiance over all bounces.
 
-        On CUDA, each wave is a recorded CUDA graph. The host waits for the number of rays of each wave, to allocate
-        them.
+        On CUDA, the rays of each bounce (a wave) are shaded by a recorded CUDA graph. The host waits for the number of
+        rays of each bounce, to allocate them.
 
         Args:
             scene: The device scene, synced.
@@ -69,19 +72,19 @@ class WhittedIntegrator:
         return self._direct_light.images(scene, plan, hits.count)
 
     def _first_wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
-        """Returns the shaded wave of the primary hits."""
+        """Returns the camera rays with their emission and direct light."""
         return self._launcher.replay(
             "wave 0", (scene.graph_key, hits.count), lambda: self._shade_wave(scene, plan, hits, 0)
         )
 
     def _next_wave(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sizes: list[int]) -> RayWave:
-        """Returns the shaded wave of the reflected and refracted rays that branch off the last wave.
+        """Returns the reflected and refracted rays that branch off ``wave``'s, with emission and direct light.
 
         Args:
             scene: The device scene.
             plan: Plan of the frame.
-            wave: The last wave.
-            sizes: Number of rays allocated for each wave, up to the new one.
+            wave: The rays of the last bounce.
+            sizes: Number of rays allocated for each bounce, up to the new one.
         """
         number = len(sizes) - 1
 
@@ -95,7 +98,7 @@ class WhittedIntegrator:
     def _shade_wave(
         self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, carried: CarriedState | None = None
     ) -> RayWave:
-        """Returns a wave with its emission and direct light, and with numbers for the rays that branch off."""
+        """Returns rays after ``number`` bounces with emission and direct light; numbers the rays that branch off."""
         may_branch = number < plan.max_bounces and hits.count > 0
         wave = self._surfaces.shade(scene, plan, hits, number, carried=carried, may_branch=may_branch)
         if plan.is_lit:
@@ -105,10 +108,10 @@ class WhittedIntegrator:
         return wave
 
     def _branch_capacity(self, wave: RayWave) -> int:
-        """Returns how many rays to allocate for the next wave; 0 if none branches off or ``max_bounces`` is reached."""
+        """Returns how many rays to allocate for the next bounce; 0 if none branches off or the limit is reached."""
         return self._specular.capacity(wave) if wave.row.may_branch else 0
 
     def _gather(self, scene: DeviceScene, waves: list[RayWave]) -> None:
-        """Adds the radiance of each wave to the wave it branched off, from the last wave to the first."""
+        """Adds the radiance of reflected and refracted rays to their parent rays, from the last bounce to the first."""
         for near, far in reversed(list(itertools.pairwise(waves))):
             self._specular.gather(scene, near, far)

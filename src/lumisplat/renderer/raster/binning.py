@@ -1,6 +1,6 @@
-"""Host passes that sort items (splats or triangles) by depth and list them per tile.
+"""Host passes that sort splats or triangles (items) by depth and list them per tile.
 
-The CPU and CUDA have different schedules (orders of kernels), which give the same result.
+The CPU and CUDA run different kernels (schedules), which give the same result.
 """
 
 from __future__ import annotations
@@ -29,14 +29,15 @@ class DepthOrder:
     """Items (splats or triangles) in front-to-back order, sorted stably."""
 
     order: DeviceArray
-    """Item indices in depth order; entries after the first ``count`` are culled items or undefined."""
+    """Indices of splats or triangles in depth order; entries from ``count`` on are culled items or undefined."""
     count: int
-    """Number of items to list. On CUDA it includes culled items, because the visible count stays on the device."""
+    """Number of entries of ``order`` to list per tile. On CUDA it includes culled ones, because the visible count
+    stays on the device."""
 
 
 @dataclass(frozen=True, slots=True)
 class BinningCounts:
-    """Counts of the last frame's items."""
+    """Counts of the Gaussians of the last frame."""
 
     visible: int = 0
     """Number of Gaussians that may touch the image."""
@@ -48,16 +49,16 @@ class BinningCounts:
 
 @dataclass(frozen=True, slots=True)
 class TileLists:
-    """For each tile, the items that touch the tile, in depth order."""
+    """For each tile, the splats or triangles that touch it, in depth order."""
 
     starts: DeviceArray
     """Index in ``items`` of each tile's first entry; the last element is the total number of entries."""
     items: DeviceArray
-    """Item indices, tile after tile."""
+    """Indices of the splats or triangles of each tile, tile after tile."""
 
 
 class Binning(ABC):
-    """Sorts items by depth and lists them per tile.
+    """Sorts splats or triangles (items) by depth and lists them per tile.
 
     Args:
         launcher: Runs the kernels.
@@ -69,8 +70,8 @@ class Binning(ABC):
         self.counts = BinningCounts()
         """Counts of the last finished frame."""
         self.growth = 0
-        """Number of times that a truncated list was enlarged. A recorded CUDA graph is stale if the number has changed
-        since."""
+        """Number of times that a tile list was too short and was enlarged. A CUDA graph recorded at another number is
+        stale."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
@@ -79,7 +80,7 @@ class Binning(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """Starts a frame: resets its counts."""
+        """Starts a frame: resets ``counts``."""
 
     @abstractmethod
     def finish(self) -> bool:
@@ -87,11 +88,11 @@ class Binning(ABC):
 
     @abstractmethod
     def sort(self, keys: DeviceArray) -> DepthOrder:
-        """Sorts items by key; culled items come last or are dropped."""
+        """Returns splats or triangles sorted by depth key; culled ones come last or are dropped."""
 
     @abstractmethod
     def unsorted(self, count: int) -> DepthOrder:
-        """Returns all items in their original order."""
+        """Returns ``count`` splats or triangles in their original order, for passes that need no depth order."""
 
     @abstractmethod
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
@@ -110,7 +111,7 @@ class BinningChunked(Binning):
     """CPU schedule: counting sorts; each thread sorts one contiguous chunk of the items."""
 
     def begin(self) -> None:
-        """Starts a frame: resets its counts."""
+        """Starts a frame: resets ``counts``."""
         self._visible = self._nonfinite = 0
         self._pairs: dict[str, int] = {}
 
@@ -120,7 +121,7 @@ class BinningChunked(Binning):
         return True
 
     def sort(self, keys: DeviceArray) -> DepthOrder:
-        """Sorts the visible items by key with a radix sort, whose first pass drops the culled items."""
+        """Returns the visible splats or triangles sorted by depth key; the radix sort's first pass drops the others."""
         run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
         ranges = buffers.get("order.ranges", ChunkData, chunks)
         run(kernels.measure_keys, chunks, chunks, keys, ranges)
@@ -153,7 +154,7 @@ class BinningChunked(Binning):
         return DepthOrder(order_in, visible)
 
     def unsorted(self, count: int) -> DepthOrder:
-        """Returns all items in their original order."""
+        """Returns ``count`` splats or triangles in their original order, for passes that need no depth order."""
         order = self._buffers.get("order.identity", wp.int32, count)
         self._launcher.run_banded(kernels.fill_identity, count, order)
         return DepthOrder(order, count)
@@ -181,8 +182,8 @@ class BinningParallel(Binning):
     """
 
     _SLOTS: ClassVar[dict[str, int]] = {"raster": 2, "mesh": 3}
-    """Index of each list's length in the array of totals, whose first two entries are the visible and non-finite
-    counts."""
+    """Index at which each list's length is stored in the array of totals, by the list's name. The first two totals are
+    the numbers of visible and of non-finite Gaussians."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         super().__init__(launcher, buffers)
@@ -190,7 +191,7 @@ class BinningParallel(Binning):
         self._totals = buffers.get("order.totals", wp.int64, 2 + len(self._SLOTS))
 
     def begin(self) -> None:
-        """Starts a frame: resets its counts."""
+        """Starts a frame: resets ``counts``."""
         self._totals.zero_()
 
     def finish(self) -> bool:
@@ -210,7 +211,7 @@ class BinningParallel(Binning):
         return complete
 
     def sort(self, keys: DeviceArray) -> DepthOrder:
-        """Sorts all items by key; culled items come last and touch no tile."""
+        """Returns all splats or triangles sorted by depth key; culled ones come last and touch no tile."""
         count = keys.shape[0]
         sorted_keys = self._buffers.get("order.keys", wp.uint32, 2 * count)
         order = self._buffers.get("order.indices", wp.int32, 2 * count)
@@ -221,7 +222,7 @@ class BinningParallel(Binning):
         return DepthOrder(order, count)
 
     def unsorted(self, count: int) -> DepthOrder:
-        """Returns all items in their original order."""
+        """Returns ``count`` splats or triangles in their original order, for passes that need no depth order."""
         order = self._buffers.get("order.identity", wp.int32, count)
         self._launcher.run(kernels.fill_identity, count, 0, order)
         return DepthOrder(order, count)
@@ -255,7 +256,7 @@ def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:
 
 
 def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray) -> DeviceArray:
-    """Returns where the pairs of each item begin in a list of all (tile, item) pairs, item by item.
+    """Returns where the (tile, item) pairs of each splat or triangle begin in a list of all pairs, item by item.
 
     The last element is the number of pairs.
 
@@ -272,7 +273,7 @@ def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray) -> Dev
 
 
 def check_pairs(count: int) -> int:
-    """Returns the number of (tile, item) pairs.
+    """Returns ``count``, the number of (tile, item) pairs, if it fits 32-bit indices.
 
     Raises:
         DeviceError: The number does not fit 32-bit indices.

@@ -1,10 +1,10 @@
-"""Kernels that sort items by depth and list them per tile, in two schedules.
+"""Kernels that sort splats or triangles (items) by depth and list them per tile, in two schedules.
 
-Chunked (CPU): one item is one contiguous chunk of the input, processed by one thread. A counting sort counts digits (or
-tiles) per chunk, a single scan turns counts into write positions, and each chunk scatters to its positions. The sort is
-stable, writes each position once, and needs no atomics.
+Chunked (CPU): one thread per contiguous chunk of the items. A counting sort counts digits (or tiles) per chunk, a
+single scan turns counts into write positions, and each chunk scatters to its positions. The sort is stable, writes each
+position once, and needs no atomics.
 
-Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair. Radix sort and scan are Warp's. They cover the
+Parallel (CUDA): one thread per Gaussian or per (tile, splat) pair. Radix sort and scan are Warp's. They cover the
 capacities of lists instead of their lengths, so that no length is read back.
 """
 
@@ -25,13 +25,13 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 @wp.func
 def chunk_edge(chunk: int, chunks: int, count: int) -> int:
-    """Returns the index of the first item of a chunk."""
+    """Returns the index of the first item of chunk ``chunk``, if ``count`` items are divided into ``chunks``."""
     return int(wp.int64(count) * wp.int64(chunk) / wp.int64(chunks))
 
 
 @wp.kernel
 def measure_keys(start: int, chunks: int, keys: wp.array[wp.uint32], chunk_out: wp.array[ChunkData]):
-    """Writes how many keys of a chunk are visible, and the lowest and highest of them."""
+    """Per chunk: writes how many of its depth keys are visible, and the lowest and highest of these."""
     chunk = start + wp.tid()
     data = ChunkData()
     data.key_min = KEY_CULLED
@@ -57,7 +57,7 @@ def count_digits(
     keys: wp.array[wp.uint32],
     counts_out: wp.array2d[int],
 ):
-    """Writes, for one chunk, how often each value of a digit occurs among the keys that are not culled."""
+    """Per chunk: writes how often each value of a radix digit occurs among the depth keys that are not culled."""
     chunk = start + wp.tid()
     for digit in range(counts_out.shape[1]):
         counts_out[chunk, digit] = 0
@@ -83,7 +83,7 @@ def scatter_digits(
     keys_out: wp.array[wp.uint32],
     indices_out: wp.array[int],
 ):
-    """Moves a chunk's keys to the positions of their digit; the first pass drops culled keys."""
+    """Per chunk: moves its depth keys to the positions of their radix digit; the first pass drops culled keys."""
     chunk = start + wp.tid()
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         key = keys[i]
@@ -100,9 +100,10 @@ def scatter_digits(
 
 @wp.kernel
 def scan_counts(chunks: int, counts: wp.array2d[int], starts_out: wp.array[int]):
-    """Turns counts into write positions, in place: an exclusive scan over columns, and over chunks within a column.
+    """Turns the counts of each chunk (row) and each digit or tile (column) into write positions, in place.
 
-    ``starts_out`` receives the start of each column, and at the end the total.
+    Positions run chunk by chunk within a column, and column by column. ``starts_out`` receives the start of each
+    column, and at the end the total.
     """
     total = int(0)
     for column in range(counts.shape[1]):
@@ -126,7 +127,7 @@ def count_tiles(
     ordered_rects_out: wp.array[TileRect],
     pairs_out: wp.array[wp.int64],
 ):
-    """Counts how many items of a chunk touch each tile, and the sum over tiles, which may exceed 32 bits.
+    """Per chunk: counts how many of its items touch each tile, and the sum over tiles, which may exceed 32 bits.
 
     Also writes the items' rectangles in depth order, for ``scatter_tiles``.
     """
@@ -156,7 +157,7 @@ def scatter_tiles(
     positions: wp.array2d[int],
     items_out: wp.array[int],
 ):
-    """Appends the items of a chunk to the lists of the tiles that they touch, in depth order."""
+    """Per chunk: appends its items to the lists of the tiles that they touch, in depth order."""
     chunk = start + wp.tid()
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         item = order[i]
@@ -178,7 +179,7 @@ def fill_identity(start: int, order_out: wp.array[int]):
 
 @wp.kernel
 def count_sorted_keys(count: int, sorted_keys: wp.array[wp.uint32], totals_out: wp.array[wp.int64]):
-    """Counts visible and non-finite items among sorted keys."""
+    """Writes the numbers of visible and of non-finite Gaussians among sorted depth keys to the totals."""
     visible = first_not_below(sorted_keys, count, KEY_NONFINITE)
     totals_out[0] = wp.int64(visible)
     totals_out[1] = wp.int64(first_not_below(sorted_keys, count, KEY_CULLED) - visible)
@@ -200,7 +201,7 @@ def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.arr
 
 @wp.kernel
 def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], counts_out: wp.array[int]):
-    """Counts the tiles that each item touches, in ``order`` if given.
+    """Per item: counts the tiles that it touches; items are taken in ``order`` unless it is empty.
 
     There is one count more than items, so that an exclusive scan of the counts ends with the total.
     """
@@ -215,7 +216,7 @@ def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], cou
 
 @wp.kernel
 def clear_pairs(start: int, tile_count: int, tiles_out: wp.array[int]):
-    """Marks all pairs as unused, so that they sort behind all tiles."""
+    """Per (tile, item) pair: marks it as unused, so that it sorts behind all tiles."""
     tiles_out[start + wp.tid()] = tile_count
 
 
@@ -230,7 +231,7 @@ def emit_pairs(
     tiles_out: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Writes the (tile, item) pairs of each item. Pairs beyond ``capacity`` are dropped; the total shows how many.
+    """Per item: writes its (tile, item) pairs. Pairs beyond ``capacity`` are dropped; the total tells how many.
 
     If the offsets overflow, positions may be negative.
     """
@@ -248,6 +249,6 @@ def emit_pairs(
 
 @wp.kernel
 def find_tile_starts(start: int, capacity: int, sorted_tiles: wp.array[int], starts_out: wp.array[int]):
-    """Finds the first pair of each tile by binary search; the last element is the number of pairs."""
+    """Per tile: finds its first pair in the sorted pairs by binary search; the last element is the number of pairs."""
     tile = start + wp.tid()
     starts_out[tile] = first_not_below(sorted_tiles, capacity, tile)

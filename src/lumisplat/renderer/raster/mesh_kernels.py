@@ -34,7 +34,7 @@ OPTIONS = {"enable_backward": False, "fuse_fp": False}
 wp.set_module_options(OPTIONS)
 
 NOTHING = wp.constant(wp.int64(2**63 - 1))
-"""Depth key of a pixel that no triangle covers."""
+"""Depth and triangle index in one integer, largest value: no triangle covers the pixel."""
 INDEX_BITS = wp.constant(wp.int64(32))
 
 
@@ -106,7 +106,7 @@ def raster_tiles(
     depth_out: wp.array[float],
     triangle_out: wp.array[int],
 ):
-    """Finds the nearest triangle at each pixel of a tile; of equally near triangles, the first wins."""
+    """Per tile: finds the nearest triangle at each of its pixels; of equally near triangles, the first wins."""
     tile = start + wp.tid()
     view = camera[0]
     corner = tile_corner(view, tile)

@@ -50,7 +50,9 @@ class RasterHits:
         return [*modules, *self._meshes.modules(has_meshes=plan.has_meshes)]
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
-        """Returns the hits of the current sample's rays; they are complete only if ``Binning.finish`` returns True.
+        """Returns the hits of the current sample's camera rays by rasterisation.
+
+        If `Binning.finish` returns False, a tile list was too short, and the hits are incomplete.
 
         Args:
             scene: The device scene at this sample, with a pinhole camera without aperture.

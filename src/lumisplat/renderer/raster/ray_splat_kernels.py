@@ -68,7 +68,7 @@ def set_depth(
     limits: wp.array[float],
     hits_inout: GaussianHits,
 ):
-    """Sets a pixel's surface depth to the peak response of its surface Gaussian, undilated, on the pixel's ray."""
+    """Per pixel: sets the surface depth to the peak of its surface Gaussian, without dilation, on the pixel's ray."""
     width = camera[0].width
     pixel = start + wp.tid()
     i = ray_of_pixel(width, pixel % width, pixel // width)
@@ -107,7 +107,7 @@ def composite_tiles(
     limits: wp.array[float],
     hits_out: GaussianHits,
 ):
-    """Blends the Gaussians listed for a tile into the hits of the tile's rays."""
+    """Per tile: blends the Gaussians listed for it into the hits of its pixels' rays."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits

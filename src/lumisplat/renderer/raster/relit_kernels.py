@@ -1,4 +1,4 @@
-"""Kernels for relit splat sets: their contribution where tiles mix them with other sets, and their mean surface.
+"""Kernels for relit splat sets: what they add to pixels that also show other sets, and their mean surface.
 
 Splats are composited a second time, with other values in place of their colours and normals. The equations are in
 docs/adr/0021-captured-or-relit-per-set.md and docs/method/rasterisation.md#weighted-mean-surface.
@@ -44,10 +44,7 @@ def count_mixed(
     tile_splats: wp.array[int],
     counts_out: wp.array[int],
 ):
-    """Counts the splats of a mixed tile, which has splats of relit and of other sets; 0 for other tiles.
-
-    One thread per tile.
-    """
+    """Per tile: writes how many splats it lists if both relit sets and others are among them, else 0."""
     tile = start + wp.tid()
     begin = tile_starts[tile]
     end = tile_starts[tile + 1]
@@ -73,10 +70,10 @@ def list_mixed(
     mixed_splats_out: wp.array[int],
     splats_out: wp.array[Splat],
 ):
-    """Lists the splats of a mixed tile, and writes copies of the splats for compositing only relit sets.
+    """Per tile with both relit and other splats: lists its splats, and writes copies for compositing relit ones alone.
 
-    One thread per tile. Copies of splats in relit sets have the normal (1, 0, 0); other copies are black and have a
-    normal of zero. Tiles that share a splat write equal values.
+    Copies of splats in relit sets have the normal (1, 0, 0); other copies are black and have a normal of zero. Tiles
+    that share a splat write equal values.
     """
     tile = start + wp.tid()
     shift = tile_starts[tile] - mixed_starts[tile]
@@ -168,9 +165,10 @@ def write_surface_attributes(
     rects: wp.array[TileRect],
     splats_inout: wp.array[Splat],
 ):
-    """Replaces a splat's colour by its depth plane, and its normal by (roughness, metallic, 1), to average them.
+    """Per Gaussian: replaces its splat's colour by its depth plane, and its normal by (roughness, metallic, 1).
 
-    One thread per Gaussian. Gaussians of sets that are not relit become black and do not count.
+    Compositing these gives weighted sums. The depth plane is the vector k with view depth ``dot(k, r)`` on camera ray
+    r. Gaussians of sets that are not relit become black and do not count.
     """
     i = start + wp.tid()
     if not is_listed(rects[i]):
@@ -196,7 +194,7 @@ def store_means(
     sums: GaussianHits,
     hits_inout: GaussianHits,
 ):
-    """Stores a pixel's weighted means of the values that ``write_surface_attributes`` wrote. One thread per pixel.
+    """Per pixel: stores the weighted means of depth, roughness and metallic of its relit Gaussians.
 
     Args:
         start: Offset added to the thread index.

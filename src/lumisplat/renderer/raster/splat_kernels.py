@@ -107,10 +107,7 @@ def set_pixel_depth(
     meshes: MeshPixels,
     pixels_inout: PixelData,
 ):
-    """Moves a pixel's surface depth from its Gaussian's mean to the peak of that Gaussian on the pixel's ray.
-
-    One thread per pixel.
-    """
+    """Per pixel: moves its surface depth from its surface Gaussian's mean to that Gaussian's peak on the ray."""
     i = start + wp.tid()
     gaussian = pixels_inout.gaussian[i]
     if gaussian >= 0:
@@ -131,10 +128,7 @@ def set_hit_depth(
     meshes: MeshPixels,
     hits_inout: GaussianHits,
 ):
-    """Moves the depth of a ray's surface from its Gaussian's mean to the peak of that Gaussian on the ray.
-
-    One thread per pixel; the kernel does the same for ray hits as ``set_pixel_depth`` does for pixels.
-    """
+    """Per ray: moves its surface depth from the mean of its surface Gaussian to that Gaussian's peak on the ray."""
     i = start + wp.tid()
     at = full_pixel_of_index(camera[0], i)
     hit = ray_index(camera[0], at[0], at[1])
@@ -197,7 +191,7 @@ def sample_tiles(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Chooses one splat for each pixel of a tile: the nearest splat whose alpha exceeds its random number."""
+    """Per tile: chooses one splat for each pixel, the nearest whose alpha exceeds its random number at the pixel."""
     arrays = SampleArrays()
     arrays.splats = splats
     arrays.sample = samples[0]
@@ -323,9 +317,9 @@ def sample_pixels(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Chooses one splat for a pixel: the nearest splat of its tile whose alpha exceeds its random number.
+    """Per pixel: chooses one splat of its tile, the nearest whose alpha exceeds its random number at the pixel.
 
-    One thread per pixel, with index tile * 256 + pixel of the tile.
+    The thread index is tile * 256 + pixel of the tile.
     """
     i = start + wp.tid()
     view = camera[0]

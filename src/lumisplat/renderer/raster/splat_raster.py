@@ -114,7 +114,8 @@ class SplatRaster:
     ) -> None:
         """Blends each pixel's splats front to back over the mesh or the background.
 
-        Unless ``finds_depth``, the surface depth is that of the Gaussian's mean.
+        If ``finds_depth``, the surface depth is the peak of the surface Gaussian on the pixel's ray, else the depth of
+        its mean.
         """
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, EXTRA_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
@@ -132,8 +133,8 @@ class SplatRaster:
     ) -> None:
         """Blends the splats in front of meshes into the Gaussian hits of the pixels' rays.
 
-        If ``counts``, the number of blended splats is stored, too. Only the kernel with one item per pixel counts them,
-        and then runs in addition to the kernel with one item per tile.
+        If ``counts``, the number of blended splats is stored, too. Only the kernel with one thread per pixel counts
+        them, and then runs in addition to the kernel with one thread per tile.
         """
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
         self._composite(scene, (*arguments, hits))
@@ -144,7 +145,7 @@ class SplatRaster:
         self._set_depth(scene, splat_kernels.set_hit_depth, meshes, hits)
 
     def find_relit(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits) -> None:
-        """Adds the contribution of relit sets to hits of sorted splats.
+        """Adds to ``hits`` what relit splat sets contribute to each pixel.
 
         Tiles that also contain other sets are composited a second time, with all other sets black.
         """
@@ -163,7 +164,7 @@ class SplatRaster:
         )
 
     def _mixed_tiles(self, scene: DeviceScene, tiles: SplatTiles) -> SplatTiles:
-        """Lists the splats of mixed tiles, which contain both relit and other sets."""
+        """Lists the splats of the tiles that contain both relit splat sets and others."""
         run, get, count = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         counts, starts = (get(f"raster.mixed_{name}", wp.int32, count + 1) for name in ("counts", "starts"))
         items = get("raster.mixed_items", wp.int32, tiles.items.shape[0])
@@ -178,7 +179,7 @@ class SplatRaster:
     def find_means(
         self, scene: DeviceScene, splats: ProjectedSplats, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits
     ) -> None:
-        """Adds the weighted-mean surface of relit sets to hits of sorted splats.
+        """Adds to ``hits`` the surface of relit splat sets, whose depth and material are weighted means over splats.
 
         Splats are composited again, with the values to average in place of colours and normals. The splats are
         overwritten, so this must run last.
@@ -218,7 +219,7 @@ class SplatRaster:
         self._launcher.run_banded(kernel, math.prod(scene.image_size), *inputs)
 
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
-        """Runs one of three compositing kernels with equal results: per tile, per pixel or per thread block."""
+        """Blends splats by the kernel per pixel (``by_pixel``), per thread block (CUDA) or per tile; all are equal."""
         inputs = (scene.splat_camera, self.settings, scene.splat_instances, *arguments)
         if by_pixel:
             self._run_pixels(scene, splat_kernels.composite_pixels, inputs)
@@ -228,11 +229,11 @@ class SplatRaster:
             self._run_tiles(scene, splat_kernels.composite_tiles, inputs)
 
     def _run_pixels(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
-        """Runs a kernel with one item per pixel, tile after tile."""
+        """Runs a kernel with one thread per pixel, tile after tile."""
         self._launcher.run_banded(kernel, math.prod(scene.tile_grid) * TILE_PX * TILE_PX, *inputs)
 
     def _run_tiles(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
-        """Runs a kernel with one item per tile."""
+        """Runs a kernel with one thread per tile."""
         bands = TILE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernel, math.prod(scene.tile_grid), *inputs, bands=bands)
 

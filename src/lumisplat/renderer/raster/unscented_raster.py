@@ -74,7 +74,9 @@ class UnscentedRaster:
         assign_table(self._settings, self._table)
 
     def find_hits(self, scene: DeviceScene, rays: RayData, centers: RayData | None = None) -> PrimaryHits:
-        """Returns the hits of the current sample's rays; they are complete only if ``Binning.finish`` returns True.
+        """Returns the hits of the current sample's camera rays, with Gaussians from tile lists and traced meshes.
+
+        If `Binning.finish` returns False, a tile list was too short, and the hits are incomplete.
 
         Args:
             scene: The device scene, at this sample.
@@ -99,9 +101,9 @@ class UnscentedRaster:
         return PrimaryHits(rays, meshes, hits)
 
     def _is_by_pixel(self, *, mixes_sets: bool) -> bool:
-        """Returns whether to composite with one item per pixel instead of one per tile.
+        """Returns whether to composite with one thread per pixel instead of one per tile.
 
-        The kernel with one item per tile cannot count hits or separate relit sets from other sets.
+        The kernel with one thread per tile cannot count hits or separate relit sets from other sets.
         """
         return self._launcher.is_parallel or mixes_sets or "hits" in self._config.aovs
 

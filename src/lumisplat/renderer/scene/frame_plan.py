@@ -172,7 +172,7 @@ class FramePlan:
     mixes_sets: bool
     """True if the scene has both emissive captures and relit sets, whose radiance is accumulated separately."""
     has_mean_surface: bool
-    """True if the rasteriser averages depth, normal and material over a pixel's relit Gaussians to get the lit
+    """True if the rasteriser averages depth, roughness and metallic over a pixel's relit Gaussians to get the lit
     surface."""
     has_receivers: bool
     """True if paths estimate the irradiance on shadow catchers, because added objects may block or add light."""

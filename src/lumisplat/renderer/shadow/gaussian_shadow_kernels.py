@@ -70,14 +70,14 @@ wp.set_module_options(PACKET_OPTIONS)
 
 @struct
 class RayAbsorption:
-    """Light that a shadow ray has lost so far."""
+    """Light that a shadow ray has lost to the Gaussians that it has met so far."""
 
     transmittance: float
     """Product of 1 - alpha over the Gaussians hit so far; 0: the ray is blocked."""
     floor: float
-    """Transmittance at or below which the ray counts as blocked."""
+    """Transmittance at or below which the ray counts as blocked, so that its traversal ends."""
     tint: wp.vec3
-    """Sum of the linear colours of the Gaussians hit so far, weighted by alpha."""
+    """Sum over the Gaussians hit so far of linear colour times alpha, by which coloured shadows are tinted."""
 
 
 @functools.cache
@@ -244,7 +244,7 @@ def absorb_in_instance(
     rays: RayData,
     light: wp.ref[RayAbsorption],
 ):
-    """Traces ray ``i`` through the Gaussians of instance ``number``; traversal uses ``stack`` above entry ``top``."""
+    """Updates ``light`` by instance ``number``'s Gaussians on ray ``i``; the traversal uses ``stack`` above ``top``."""
     instance = scene.instances[number]
     ray = ray_in_instance(i, instance, HIT_PEAK, rays)
     key = shadow_key(config)

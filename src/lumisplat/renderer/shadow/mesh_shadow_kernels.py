@@ -31,7 +31,7 @@ from lumisplat.device.structs.scene import ALPHA_OPAQUE
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 4})
 
 EDGE_WEIGHT_MAX = 1e-5
-"""Barycentric weight above which a ray through glass certainly misses the triangle's edges; larger than all rounding.
+"""Largest barycentric weight, more than any rounding error, at which a ray through glass may lie on a triangle's edge.
 """
 
 EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
@@ -52,16 +52,16 @@ class MeshShadowRay:
 
 @struct
 class MeshPassage:
-    """Running results while a shadow ray crosses the triangles of one instance."""
+    """Running results while a shadow ray crosses the triangles of one mesh instance."""
 
     light: wp.vec3
     """Transmittance of the triangles so far, linear, per channel."""
     inside: float
-    """Sum of the distances at which the ray exits, minus the distances at which it enters. ``length_inside`` completes
-    the sum to a length."""
+    """Sum of the distances at which the shadow ray has left the mesh, minus those at which it has entered.
+    ``length_inside`` turns it into the length inside."""
     entries: int
-    """Number of entries minus number of exits so far. Each entry without an exit adds the ray's ``t_max`` to the
-    length inside."""
+    """Number of times that the shadow ray has entered the mesh, minus the number of times that it has left; if
+    positive, it ends inside at ``t_max``."""
 
 
 @wp.func
@@ -73,7 +73,10 @@ def pass_triangle(
     scene: MeshBvh,
     passage: wp.ref[MeshPassage],
 ):
-    """Multiplies the transmittance by that of a triangle of instance ``number``; ``ray`` is in the mesh's space."""
+    """Multiplies the passage's light by the transmittance of a triangle of instance ``number``.
+
+    ``ray`` is the shadow ray in the mesh's object space.
+    """
     hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
     t = ray.begin + hit.t
     if not (t > 0.0 and t < shadow.t_max):
@@ -183,12 +186,12 @@ def shadow_by_meshes(
     light_out: wp.array[wp.vec3],
     limit_out: wp.array[float],
 ):
-    """Writes the transmittance of all meshes between the ray's origin and ``t_max``.
+    """Per shadow ray: writes the transmittance of all meshes between its origin and ``t_max``.
 
     Glass blocks a ray if its ``opaque`` is True; with an empty ``opaque``, glass blocks no ray. ``media`` are the media
     around the origins; if empty, all origins are in air. ``limit_out`` is the distance up to which Gaussians may block
-    the remaining light: 0 if no light remains, and for rays that skip shadow catchers if only meshes may block those
-    rays (``meshes_only``).
+    what light remains. It is 0 if none remains and, with ``meshes_only``, for rays that pass through shadow catchers
+    (``skips``), which only meshes block then.
     """
     i = start + wp.tid()
     t_max = rays.t_max[i]

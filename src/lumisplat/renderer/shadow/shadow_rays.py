@@ -29,9 +29,9 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
-"""Number of shadow rays per Gaussian in one stochastic sample, counting inactive rays, above which BVHs are shrunk.
-Shrinking costs as much as one ray per Gaussian saves in a capture that is all surface. It pays off far earlier if rays
-cross many Gaussians."""
+"""Number of shadow rays per Gaussian in one stochastic sample, counting inactive rays, above which the sample's BVHs
+are shrunk to the parts of Gaussians that block light. In a capture that is all surface, shrinking takes as much time as
+one ray per Gaussian saves by it; if rays cross many Gaussians, it pays off far earlier."""
 
 SHRINK_INSTANCES_MAX = 8
 """Largest number of instances of an asset whose BVH is shrunk, because the shrunk BVH must be valid for all instances.
@@ -200,7 +200,8 @@ class StochasticBvh:
     def __init__(self, launcher: Launcher, buffers: Buffers, name: str) -> None:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._whole: DeviceArray | None = None
-        """Assets with the original BVHs from which the shrunk ones were made."""
+        """Table of the assets with their original BVHs, from which the shrunk ones were made; None: nothing was shrunk
+        yet."""
         self._assets: DeviceArray | None = None
         self._is_fresh = False
         self._rays = 0

@@ -27,7 +27,7 @@ def shrink_nodes(
     nodes: wp.array[Node],
     nodes_out: wp.array[Node],
 ):
-    """Shrinks the boxes of a level's nodes to the part of each Gaussian that blocks light in a stochastic sample.
+    """Per node of a BVH level: shrinks its boxes to the parts of Gaussians that block light in a stochastic sample.
 
     A Gaussian blocks light where its alpha exceeds its random number. If the asset has several instances (``owners``),
     the lowest of their random numbers counts, which gives the largest box.

@@ -37,28 +37,28 @@ _BUILDS = itertools.count()
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A level of the BVHs whose nodes are being split."""
+    """Nodes of equal depth of the BVHs that are being built, which are split next."""
 
     depth: int
-    """Depth of the level; 0: the root."""
+    """Depth in the BVH of the nodes that are split next; 0: the roots."""
     first: int
-    """Index of the level's first node."""
+    """Index among all nodes of the first node that is split next."""
     nodes: int
     begins: DeviceArray
-    """Index of the first item of each node of the BVHs."""
+    """Index of the first item (Gaussian, triangle or instance) of each node of the BVHs."""
     ends: DeviceArray
     """Index after the last item of each node of the BVHs."""
     edges: DeviceArray
     """First item of each child of each node of the level, and the end of the last child; output of the split."""
     inner: DeviceArray
-    """Number of children that are inner nodes, for each node of the level; output of the split."""
+    """For each node that is split, the number of its children that are inner nodes; output of the split."""
 
 
 Split = Callable[[Level], None]
 
 
 class BoxTree:
-    """Several BVHs over boxes. A subclass defines the items and builds the BVHs.
+    """Several BVHs over boxes, built together. A subclass defines whose boxes they are.
 
     Args:
         launcher: Runs the kernels.
@@ -78,7 +78,8 @@ class BoxTree:
         self.stack_size = 1
         """Largest number of nodes on the stack of a traversal that may visit children in any order."""
         self.build = -1
-        """Unique number of the last build; levels and addresses of nodes stay the same until the next build."""
+        """Number of the last build, unique in the process. While it stays the same, so do levels and addresses of
+        nodes."""
 
     @property
     def bytes(self) -> int:
@@ -111,16 +112,19 @@ class BoxTree:
         self._launcher.run_banded(kernels.write_links, count, links, self.nodes)
 
     def fit(self, boxes: DeviceArray) -> None:
-        """Sets the boxes of the nodes, from the leaves to the roots.
+        """Sets the boxes of all nodes, from the leaves to the roots.
 
         Args:
-            boxes: Boxes of the items, in BVH order.
+            boxes: Boxes of the items, in the order of the BVHs' leaves.
         """
         for first, nodes in reversed(self.levels):
             self._launcher.run_banded(kernels.refit_nodes, nodes, first, boxes, self.nodes, self._areas)
 
     def by_area(self, boxes: DeviceArray, items: DeviceArray) -> Split:
-        """Returns the CPU's split function (surface area heuristic), which reorders ``boxes`` and ``items``."""
+        """Returns the CPU's function that splits a level's nodes, by surface area heuristic.
+
+        It reorders ``boxes`` and ``items``.
+        """
 
         def split(level: Level) -> None:
             self._launcher.run_banded(
@@ -134,7 +138,7 @@ class BoxTree:
         return split
 
     def by_code(self, codes: DeviceArray) -> Split:
-        """Returns CUDA's split function, which splits sorted Morton codes."""
+        """Returns CUDA's function that splits a level's nodes, by the digits of their items' sorted Morton codes."""
 
         def split(level: Level) -> None:
             self._launcher.run_banded(
@@ -185,7 +189,7 @@ class HostBoxTree(BoxTree):
         super().__init__(launcher)
         scratch = Buffers(launcher.device)
         self.order = np.arange(len(lows), dtype=np.int32)
-        """Index of the box at each position in BVH order."""
+        """Index of the box of each leaf, in the order of the BVHs' leaves."""
         self.items = self._buffers.upload("items", wp.int32, self.order)
         """Device copy of ``order``."""
         if launcher.is_parallel:
@@ -215,7 +219,7 @@ def upload_boxes(buffers: Buffers, lows: Doubles, highs: Doubles) -> DeviceArray
 def coded_order(
     lows: Doubles, highs: Doubles, counts: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Sorts boxes along a Morton curve of 1024 cells per axis, BVH after BVH; returns sorted indices and codes."""
+    """Sorts boxes along a Morton curve of 1024 cells per axis, separately for each BVH; returns indices and codes."""
     middles = lows + highs
     tree = np.repeat(np.arange(len(counts)), counts)
     filled = np.flatnonzero(counts)
@@ -230,7 +234,7 @@ def coded_order(
 
 
 def traversal_stack_size(inner_counts: list[npt.NDArray[np.int32]]) -> int:
-    """Returns the largest number of nodes on a traversal's stack.
+    """Returns the largest number of nodes that the stack of a traversal may hold.
 
     The stack holds the siblings along a path, plus the children of the last node.
 

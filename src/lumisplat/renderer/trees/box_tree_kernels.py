@@ -165,7 +165,7 @@ def split_by_area(
     edges_out: wp.array[Edges],
     inner_counts_out: wp.array[int],
 ):
-    """Splits a node's items into up to eight children: splits the child of largest area until eight exist.
+    """Per node of a level: splits its items into up to eight children; the child of largest area is split next.
 
     ``edges_out`` holds the first item of each child. Each split minimises the surface area heuristic. If ``by_area`` is
     0, the child with the most items is split in the middle instead.
@@ -241,7 +241,7 @@ def split_by_code(
     edges_out: wp.array[Edges],
     inner_counts_out: wp.array[int],
 ):
-    """Splits a node's items by the first octal digit in which their codes differ (Karras 2012).
+    """Per node of a level: splits its items by the first octal digit in which their Morton codes differ (Karras 2012).
 
     One octal digit is three levels of a binary radix tree. Items with equal codes are distributed evenly.
     """
@@ -281,7 +281,7 @@ def link_nodes(
     ends_out: wp.array[int],
     links_out: wp.array[ChildLinks],
 ):
-    """Assigns node indices to the inner children of a level's nodes, and writes the range of items of each."""
+    """Per node of a level: gives its inner children node indices, and writes the range of items of each child."""
     n = start + wp.tid()
     ranges = edges[n]
     child = child_first + inner_ends[n] - inner_counts[n]
@@ -301,7 +301,7 @@ def link_nodes(
 
 @wp.kernel
 def write_links(start: int, links: wp.array[ChildLinks], nodes_out: wp.array[Node]):
-    """Writes all nodes with their links to children; ``refit_nodes`` adds the boxes."""
+    """Per node: writes it with the links to its children; ``refit_nodes`` adds the boxes."""
     n = start + wp.tid()
     node = Node()
     node.link = links[n]
@@ -316,7 +316,7 @@ def refit_nodes(
     nodes_inout: wp.array[Node],
     areas_out: wp.array[float],
 ):
-    """Writes the boxes of the children of a level's nodes; deeper levels must be refitted earlier."""
+    """Per node of a level: writes the boxes of its children; deeper levels must be refitted earlier."""
     n = node_first + start + wp.tid()
     node = nodes_inout[n]
     whole = empty_box()

@@ -41,7 +41,7 @@ class GaussianBvh(BoxTree):
         self._build(gaussians)
 
     def refit(self, gaussians: GaussianData) -> None:
-        """Updates the boxes after Gaussians have moved; rebuilds the BVH if its cost has grown too much.
+        """Updates the boxes after Gaussians have moved; rebuilds the BVH if its surface area has grown too much.
 
         Args:
             gaussians: The Gaussians, as many as before.
@@ -69,7 +69,7 @@ class GaussianBvh(BoxTree):
         self.cost_built = self.cost
         low, high = sampled_bounds(gaussians)
         self.extent = float(np.linalg.norm(high - low))
-        """Diagonal of a box around nearly all means, object-space units."""
+        """Diagonal of a box around nearly all means, without outliers, object-space units."""
 
     def _split_by_area(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Split:
         boxes = scratch.get("boxes", Box, count)

@@ -45,7 +45,7 @@ def gather_particles(
     particles_out: wp.array[Particle],
     boxes_out: wp.array[Box],
 ):
-    """Writes the Gaussians' particle records and boxes in BVH order."""
+    """Per Gaussian: writes its particle (record that rays read) and its box in the order of the BVH's leaves."""
     i = start + wp.tid()
     particles_out[i] = particle_of(kernel, gaussians, items[i])
     boxes_out[i] = particle_box(kernel, gaussians, items[i])

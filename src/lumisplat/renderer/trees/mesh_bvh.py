@@ -110,7 +110,7 @@ class MeshBvhScene:
         self._synced = synced
 
     def _sync_trees(self, meshes: dict[int, Mesh]) -> None:
-        """Drops BVHs built together if all their meshes are unused, and builds BVHs of new meshes."""
+        """Builds BVHs of new meshes together; drops a group of BVHs built together once all its meshes are unused."""
         used = [trees for trees in self._trees if trees.root_of.keys() & meshes.keys()]
         existing = {key for trees in used for key in trees.root_of}
         missing = [mesh for key, mesh in meshes.items() if key not in existing]
@@ -127,7 +127,7 @@ class MeshBvhScene:
         self._trees = used
 
     def _tree_over(self, before: HostBoxTree | None) -> HostBoxTree:
-        """Returns the BVH over the instances: the previous one, refitted, unless its cost has grown too much."""
+        """Returns the BVH over the instances: ``before``, refitted, unless its surface area has grown too much."""
         low, high = self.boxes.low, self.boxes.high
         if before is not None and len(before.order) == len(low):
             before.refit(low, high)
@@ -141,9 +141,9 @@ class InstanceBoxes:
     """World-space boxes and BVH roots of a scene's mesh instances; one element for each instance."""
 
     assets: npt.NDArray[np.int64]
-    """Index of the TriangleBvh that contains each instance's triangles."""
+    """Index of the group of meshes (TriangleBvh) that contains each instance's triangles."""
     roots: npt.NDArray[np.int64]
-    """Index of each mesh's root node in its TriangleBvh."""
+    """Index of the root node of each instance's mesh among the nodes of its TriangleBvh."""
     low: Doubles
     """Lower corner of each of N instances' world-space box, shape (N, 3)."""
     high: Doubles

@@ -14,7 +14,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import sort_pairs
 
 _CELLS = 8.0
-"""Number of sorting cells along the extent of the scene."""
+"""Number of cells along the scene's size in the grid by which the origins of incoherent rays are sorted."""
 
 _LAST = 8 * 16**3
 """Sort key of inactive rays; larger than the keys of active rays."""
