@@ -116,7 +116,7 @@ def test_baked_sh_do_not_depend_on_the_transform_of_the_instance() -> None:
     assert np.abs(here.gaussians.sh[:, 1:]).max() > 0.1
 
 
-def test_bake_leaves_unlit_captures_and_shapes_of_lit_gaussians_unchanged() -> None:
+def test_bake_changes_neither_captures_that_are_not_lit_nor_shapes_of_lit_gaussians() -> None:
     """A capture without a material stays the same object; a lit one keeps shapes and normals, but no materials."""
     unlit = ls.SplatInstance(ls.gaussians_from_mesh(ball(0.5, diffuse(0.4)), 50), name="kept")
     lit = replace(floor(60), name="lit")
@@ -187,7 +187,7 @@ def test_baked_gaussians_inside_a_closed_body_have_finite_colours() -> None:
         assert np.abs(instance.gaussians.sh).max() < 4.0
 
 
-def test_progress_of_a_bake_rises_from_0_to_at_least_half() -> None:
+def test_reported_progress_of_a_bake_starts_at_0_and_never_decreases() -> None:
     """Fractions never decrease."""
     reports: list[float] = []
 
@@ -213,7 +213,7 @@ def test_progress_of_a_bake_rises_from_0_to_at_least_half() -> None:
         (floor(20), {}, ls.SceneError, "expected a Scene"),
     ],
 )
-def test_bake_refuses_invalid_arguments_by_name(
+def test_bake_refuses_each_invalid_argument_with_an_error_that_names_it(
     scene: Any, options: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     """Messages are one line, and come before any slow work."""

@@ -22,7 +22,7 @@ def neighbours(rng: np.random.Generator) -> RayWeights:
     )
 
 
-def test_ray_weights_of_a_bake_match_a_dense_matrix():
+def test_sparse_weights_of_gaussians_along_baked_rays_equal_a_dense_matrix():
     """For the weight matrix W, colours a of Gaussians and r of rays, blends are W a, and means W^T r over W^T 1."""
     rng = np.random.default_rng(0)
     weights = neighbours(rng)
@@ -57,7 +57,7 @@ def test_denoising_a_bake_removes_noise_of_constant_light_but_no_colour():
     )
 
 
-def test_denoising_a_bake_keeps_the_light_of_dark_albedos():
+def test_denoising_a_bake_preserves_brightness_of_surfaces_with_dark_albedo():
     """Dividing by `SHARED_COLOR_MIN` in place of a far smaller albedo would lose half of the light and more."""
     rng = np.random.default_rng(5)
     weights = neighbours(rng)
@@ -95,7 +95,7 @@ def test_denoising_a_bake_keeps_shadow_edges():
     )
 
 
-def test_partial_coverage_of_rays_does_not_bias_baked_brightness():
+def test_baked_brightness_is_unbiased_where_gaussians_cover_a_ray_partially():
     """Radiance at an outline is that of the samples that hit, without the noise of the hit count.
 
     Division by the expected number of hits would be wrong by half and more.
@@ -109,7 +109,7 @@ def test_partial_coverage_of_rays_does_not_bias_baked_brightness():
     np.testing.assert_allclose(light, np.broadcast_to(0.6 * np.array([0.5, 1.0, 2.0]), light.shape), rtol=1e-9)
 
 
-def test_denoising_a_bake_removes_noise_at_partial_coverage():
+def test_denoising_a_bake_removes_noise_where_gaussians_cover_rays_partially():
     """A half of the samples with a single path, which hits nothing, carries no information on the noise."""
     rng = np.random.default_rng(4)
     weights, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.6)
@@ -121,7 +121,7 @@ def test_denoising_a_bake_removes_noise_at_partial_coverage():
     assert np.sqrt(np.square(light - 0.35).mean()) < 0.2 * np.sqrt(np.square(alone - 0.35).mean())
 
 
-def test_rays_and_gaussians_without_contributions_are_denoised_to_zero():
+def test_bake_denoiser_returns_zero_for_rays_without_gaussians():
     """Nothing is divided by zero."""
     weights = RayWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)
     light = denoised_by_rays(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((2, 3), 0.5), weights, 1.0)

@@ -31,7 +31,7 @@ def pixels(rng: np.random.Generator, colors: np.ndarray | None = None) -> Pixels
     )
 
 
-def test_blending_sh_along_rays_matches_numpy_and_its_transpose() -> None:
+def test_sh_colours_blended_along_rays_match_numpy_and_gathering_is_the_transpose() -> None:
     """Rays show the weighted sum of their Gaussians' colours. For SH a and errors e, <blend(a), e> = <a, gather(e)>."""
     rng = np.random.default_rng(0)
     some = pixels(rng)

@@ -47,7 +47,9 @@ def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("shines", [False, True])
-def test_sample_rays_of_a_bake_across_colour_edges_match_frames(shines: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_colours_that_a_bake_samples_at_colour_edges_match_rendered_frames(
+    shines: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Path tracing hits a white or a dark Gaussian at random; the mean is compared with a blend of sorted hits.
 
     If hits were sorted by means of Gaussians, as viewers do, rays across edges would be some hundredths too bright.
@@ -70,7 +72,7 @@ def test_sample_rays_of_a_bake_across_colour_edges_match_frames(shines: bool, mo
     assert np.sqrt(np.square(errors).mean()) < 0.046
 
 
-def test_clear_span_of_a_sample_ray_ends_half_way_to_gaussians_not_being_baked() -> None:
+def test_ray_segment_of_baked_gaussians_ends_half_way_to_neighbours_that_are_not_baked() -> None:
     """The segment is around the Gaussian of largest weight, and ends before a mesh just behind the last Gaussian."""
     wanted = np.array([0, 1, 1, 0, 1, 1, 1, 0, 0], np.bool_)
     hits = HitGaussians(
@@ -98,7 +100,7 @@ def veil() -> ls.SplatInstance:
 
 
 @pytest.mark.parametrize("other", [veil(), LIGHT])
-def test_unbaked_captures_and_meshes_do_not_bias_sample_rays(
+def test_light_sampled_for_a_bake_excludes_captures_and_meshes_that_are_not_baked(
     other: ls.SplatInstance | ls.MeshInstance, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A sheet in the sun follows Lambert's law on all rays, also past a white veil and before an emissive mesh.
@@ -116,7 +118,7 @@ def test_unbaked_captures_and_meshes_do_not_bias_sample_rays(
     np.testing.assert_allclose(colors, encode_srgb(0.8 / np.pi * 0.5 * np.sqrt(0.5)), atol=2e-3)
 
 
-def test_reflected_colours_of_a_bake_equal_the_shaded_ones() -> None:
+def test_reflected_colour_in_a_bake_is_albedo_plus_white_specular_reflection() -> None:
     """Reflected colours are the albedo, or captured colours of an emissive capture, plus white specular reflection."""
     captured, albedo = np.array([0.2, 0.4, 0.6]), np.array([0.5, 0.3, 0.0])
     gaussians = ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4)

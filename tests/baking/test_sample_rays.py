@@ -34,7 +34,7 @@ def small() -> ls.SplatInstance:
     return ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.5), rows=16), 60), material=diffuse(0.5))
 
 
-def test_squared_distances_of_sample_ray_origins_from_gaussians_are_uniform() -> None:
+def test_bake_rays_start_at_uniform_squared_distances_from_their_gaussian() -> None:
     """A ray's camera distance is at most that of the view, and the pdf of the distance grows linearly."""
     instance = small()
     drawn = drawn_rays(instance, 30)
@@ -43,7 +43,7 @@ def test_squared_distances_of_sample_ray_origins_from_gaussians_are_uniform() ->
     np.testing.assert_allclose(np.square(away / 3.0).mean(), 0.5, atol=0.02)
 
 
-def test_sample_ray_directions_are_drawn_in_proportion_to_weight_times_distance() -> None:
+def test_bake_draws_ray_directions_in_proportion_to_view_weight_times_distance() -> None:
     """Fractions are right to a ray in 200, because successive rays are stratified."""
     instance = small()
     total = instance.gaussians.count
@@ -77,7 +77,7 @@ def test_sample_rays_depend_on_gaussian_seed_and_iteration_only() -> None:
     np.testing.assert_array_equal(some.directions, drawn[1].directions[rows])
 
 
-def test_distributions_of_sample_rays_are_written_in_place_without_copies() -> None:
+def test_distributions_of_bake_rays_are_written_into_allocated_arrays_without_copies() -> None:
     """Distributions are written in parts into allocated arrays, and take less memory than 16 rays to each Gaussian."""
     part = rays_of(small())
     count = len(part.gaussian)
@@ -96,7 +96,9 @@ def test_distributions_of_sample_rays_are_written_in_place_without_copies() -> N
         np.testing.assert_array_equal(getattr(rays, name)[3 * count : 4 * count], getattr(part, name))
 
 
-def test_gaussians_in_corners_get_as_many_usable_sample_rays_as_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bake_redraws_blocked_rays_so_that_gaussians_in_corners_get_as_many_as_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Rays through a wall of a closed box, more than half of those to an edge, are redrawn."""
     walls = ls.gaussians_from_mesh(ls.box(2.0, material=diffuse(0.5)), 300)
     assert walls.normals is not None

@@ -30,7 +30,7 @@ def test_sh_fit_recovers_sh_from_noiseless_colours(degree: int) -> None:
     np.testing.assert_allclose(found[:, 0], truth[:, 0], atol=0.03)
 
 
-def test_sh_fit_keeps_colours_of_an_unviewed_side_in_range() -> None:
+def test_sh_fit_to_views_of_one_side_gives_the_other_side_colours_between_0_and_1() -> None:
     """One side is viewed and matched; colours of the other side do not overshoot."""
     along = directions()
     front = along[..., 2] < 0.0
@@ -94,7 +94,7 @@ def test_view_weights_favour_visible_lit_and_front_sides() -> None:
     assert (dark > 0.0).all()
 
 
-def test_view_directions_on_an_invisible_side_of_a_gaussian_are_mirrored() -> None:
+def test_baked_view_directions_on_the_invisible_side_of_a_gaussian_are_mirrored() -> None:
     """View directions on a side without weight are mirrored at the Gaussian's plane.
 
     With weight on both sides they stay.

@@ -105,7 +105,7 @@ def test_render_width_and_height_apply_to_cameras_without_a_size(work):
     assert read_image(work.path("a.png"))["srgb"].shape == (24, 32, 3)
 
 
-def test_render_set_options_equal_the_settings_of_the_library(work):
+def test_render_with_set_options_equals_library_render_with_equal_settings(work):
     """The image equals that of `ls.render` with equal settings."""
     ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
     scene = ls.Scene([work.capture("bands.ply")])
@@ -225,7 +225,7 @@ def test_render_logs_options_without_effect(work, monkeypatch, caplog):
     assert "not used: --set trace.strategy (used by the pipelines trace, hybrid, realtime)" in caplog.messages
 
 
-def test_render_without_cameras_frames_the_scene(work):
+def test_render_without_cameras_uses_a_camera_that_frames_the_whole_scene(work):
     """A capture alone gives one image of the requested size in which the capture is visible."""
     args = ("render", "@capture.ply", "-o", "@first.png", "--width", "64", "--height", "64")
     assert work.run(*args, "--device", "cpu").status == 0
@@ -309,7 +309,7 @@ def test_stats_of_traced_frames_have_no_tile_counts(work):
         assert "tile pairs" not in outcome.out and "visible" not in outcome.out
 
 
-def test_render_with_the_trace_pipeline_equals_the_library(work, monkeypatch):
+def test_render_command_with_the_trace_pipeline_equals_library_render(work, monkeypatch):
     """The image shows glass in front of a capture; progress is reported for each sample."""
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
@@ -430,7 +430,7 @@ def test_info_prints_text_without_markup_or_control_characters(work):
     assert "[/red] :cat: ?[2J" in outcome.out
 
 
-def test_convert_keeps_the_kernel_degree_or_logs_its_loss(work, caplog):
+def test_convert_keeps_the_kernel_degree_and_logs_its_loss_if_the_format_lacks_it(work, caplog):
     """SPZ cannot store the degree, and one line reports it."""
     ls.save(work.path("quartic.ply"), replace(work.capture("capture.ply"), kernel_degree=4))
     assert work.run("convert", "@quartic.ply", "@copy.compressed.ply").status == 0

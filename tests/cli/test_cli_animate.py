@@ -197,7 +197,7 @@ def test_animate_frames_of_a_range_equal_those_of_the_whole(work, monkeypatch):
     assert list(frames(work, "part")) == names(0, 2, 3)
 
 
-def test_animate_of_a_still_scene_writes_equal_frames(work):
+def test_animate_command_writes_identical_frames_of_a_scene_without_motion(work):
     """Frames are equal bit by bit, including shadows and sampled light."""
     work.path("scene.toml").write_text(SCENE.replace("position = [0.5, 0.0, 0.0]", "position = [-0.5, 0.0, 0.0]"))
     for options in ((), ("--pipeline", "trace", "--samples", "2", "--frames", "0:2")):
@@ -281,7 +281,7 @@ def test_animate_reports_a_damaged_frame_that_stops_its_video(work, kept):
     assert frames(work, "frames") == made
 
 
-def test_animate_advises_to_continue_an_overwrite_without_overwrite(work, monkeypatch):
+def test_interrupted_animate_overwrite_advises_the_same_command_without_overwrite(work, monkeypatch):
     """With ``--overwrite``, the same command would remove the finished frames."""
 
     def interrupted(*_, **__):
@@ -325,7 +325,7 @@ def test_animate_needs_one_camera_or_one_for_each_frame(work):
     assert len(animation.cameras) == 1
 
 
-def test_animate_without_cameras_frames_scene_and_actors(work):
+def test_animate_without_cameras_uses_a_camera_that_frames_scene_and_actors(work):
     """The camera has the requested image size."""
     work.path("scene.toml").write_text(SCENE[: SCENE.index("[[cameras]]")])
     assert animate(work, "frames", "--frames", "0:1", "--width", "40", "--height", "30", "--up", "y-up").status == 0
@@ -379,7 +379,7 @@ def test_animate_does_not_log_relit_actors_with_an_albedo_as_unlit(work, caplog)
         assert caplog.text.count("captures with an albedo stay unlit") == count
 
 
-def test_animate_accepts_a_capture_without_lights_around_the_actors(work, caplog) -> None:
+def test_animate_accepts_captures_without_lights_that_do_not_surround_the_actors(work, caplog) -> None:
     """Actors cast no shadow and are brightened as if the capture surrounded them; the log names the option for that."""
     light = SCENE[SCENE.index("[[lights]]") : SCENE.index("[[actors]]")]
     work.path("scene.toml").write_text(RELIT.replace(light, ""))

@@ -149,7 +149,7 @@ def test_lit_frames_of_blocks_load_the_whole_capture(work: Workspace, caplog: py
     assert "the whole capture is loaded for other files of the scene" in caplog.text
 
 
-def test_blocks_plan_prints_the_memory_and_loads_of_workers(work: Workspace) -> None:
+def test_blocks_plan_prints_memory_and_loaded_bytes_of_each_worker(work: Workspace) -> None:
     """The table has a row for each worker and their sum, equal to the library's plan."""
     made(work)
     outcome = work.run("blocks", "@town", "--plan", "--cameras", "@views.json", "--workers", "2", "--memory", "0.00006")

@@ -53,7 +53,7 @@ def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
         ),
     ],
 )
-def test_each_convert_option_equals_its_function_of_the_library(
+def test_each_edit_option_of_convert_gives_the_capture_of_its_library_function(
     work: Workspace, options: str, expected: Callable[[ls.Gaussians], ls.Gaussians]
 ) -> None:
     """The written capture equals the function's result."""
@@ -114,7 +114,7 @@ def test_convert_decimate_accepts_counts_and_percentages(text: str, count: int) 
     assert _target_count(text, 1000) == count
 
 
-def test_convert_keep_accepts_open_and_closed_value_ranges() -> None:
+def test_keep_option_of_convert_accepts_value_ranges_without_lower_or_upper_limit() -> None:
     """Either limit may be missing, and numbers may have any notation."""
     assert _value_ranges(["x=-1..2", "opacity=.5..", "scale_max=..1e-3"]) == {
         "x": (-1.0, 2.0),

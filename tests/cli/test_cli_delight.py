@@ -64,7 +64,7 @@ def test_delight_gives_a_capture_albedo_roughness_and_normals(work):
     assert environment.shape[1] == 2 * environment.shape[0] and environment.min() > 0.0
 
 
-def test_delight_writes_materials_to_gltf_as_to_ply(work):
+def test_delight_writes_equal_materials_to_gltf_and_to_ply(work):
     """A .glb has the albedo, roughness and normals that a .ply has."""
     for name in ("found.glb", "found.ply"):
         done = work.run("delight", "@ball.ply", "-o", f"@{name}", "--cells", "4", "--device", "cpu")

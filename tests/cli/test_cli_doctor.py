@@ -30,7 +30,7 @@ def test_doctor_prints_versions_devices_cache_and_extras(work: Workspace) -> Non
     assert " works" in shown and "compiled kernels folder" in shown and "view" in shown
 
 
-def test_doctor_json_has_the_fields_of_a_diagnosis(work: Workspace) -> None:
+def test_doctor_json_prints_the_fields_of_the_class_diagnosis(work: Workspace) -> None:
     """The class is `lumisplat.diagnostics.Diagnosis`."""
     facts = json.loads(work.run("doctor", "--json").out)
     assert facts["version"] == ls.__version__ and facts["problems"] == []

@@ -83,7 +83,7 @@ def test_export_summary_counts_only_what_the_file_stores(work: Workspace, name: 
     assert len(scene.lights) == lights and len(ls.load_cameras(work.path(name))) == cameras
 
 
-def test_capture_converted_for_blender_matches_the_exported_glb(work: Workspace) -> None:
+def test_ply_capture_rotated_for_blender_matches_the_glb_in_blenders_z_up_axes(work: Workspace) -> None:
     """Blender's glTF importer rotates y up to z up, its PLY importer does not (docs/guide/gltf.md#blender)."""
     assert work.run("export", "@capture.ply", "@mesh.obj", "-o", "@all.glb").status == 0
     assert work.run("convert", "@capture.ply", "--rotate", "-90", "0", "0", "-o", "@turned.ply").status == 0

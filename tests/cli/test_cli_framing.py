@@ -46,7 +46,7 @@ def test_frame_camera_shows_the_up_direction_upwards(up, above):
     assert (camera.eye - center) @ above > 0.0
 
 
-def test_default_up_of_frame_camera_depends_on_captures_and_meshes() -> None:
+def test_frame_camera_assumes_captures_are_y_down_and_scenes_of_meshes_are_y_up() -> None:
     """Without a stated direction, captures are y down, also beside meshes, and meshes alone are y up."""
     capture, mesh = random_gaussians(3), quad(1.0)
     for scene in (ls.Scene([capture]), ls.Scene([capture], [mesh])):

@@ -27,7 +27,7 @@ def garden(**stated: object) -> ls.Gaussians:
     return replace(ls.Gaussians(means, rotations, sizes, np.full(count, 0.9), colors), **stated)
 
 
-def test_trained_captures_store_up_and_first_view(tmp_path: Path) -> None:
+def test_trained_capture_files_store_up_direction_and_first_camera_view(tmp_path: Path) -> None:
     """Up and first view come from the cameras, are stored in the file, and are used by renders."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = ls.TrainConfig(iterations=20, cap=80, sh_degree=1, prune_below=0.0)
@@ -72,7 +72,9 @@ def test_convert_level_rotates_the_ground_to_horizontal(
     assert "y-down" in capsys.readouterr().out
 
 
-def test_convert_edits_preserve_up_and_first_view_of_a_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edits_by_convert_preserve_a_captures_up_direction_and_first_camera_view(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The capture is cropped, thinned and rotated in one command, to another format."""
     monkeypatch.chdir(tmp_path)
     view = ls.Camera.look_at((0.0, -1.0, -5.0), (0.0, -0.5, 0.0), (0.0, -1.0, 0.0))

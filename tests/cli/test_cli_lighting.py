@@ -184,7 +184,7 @@ def test_every_light_option_of_render_reaches_the_renderer(work, monkeypatch):
         assert recorder.config.lighting is lighting
 
 
-def test_render_cameras_replace_those_of_the_scene_file(work, monkeypatch):
+def test_cameras_option_of_render_replaces_the_cameras_of_the_scene_file(work, monkeypatch):
     """``--cameras`` may also name another scene file; settings stay."""
     recorder = RecordingRenderer(monkeypatch)
     work.path("views.toml").write_text("[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 4]\nname = 'third'\n")
@@ -193,7 +193,7 @@ def test_render_cameras_replace_those_of_the_scene_file(work, monkeypatch):
     assert recorder.config == FILE_CONFIG
 
 
-def test_render_frames_a_scene_file_without_cameras(work, monkeypatch):
+def test_render_of_a_scene_file_without_cameras_uses_a_camera_framing_the_scene(work, monkeypatch):
     """The camera has the requested size and exposure."""
     recorder = RecordingRenderer(monkeypatch)
     work.path("plain.toml").write_text(SCENE.partition("[[cameras]]")[0])
@@ -439,7 +439,7 @@ def test_info_lists_lights_cameras_and_settings_of_a_scene_file(work, sky):
     assert "kind radiance size 4 x 2 mean 10.5 11.5 12.5 largest 23" in shown
 
 
-def test_info_prints_a_scene_of_lights_without_bounds(work):
+def test_info_prints_no_bounds_for_a_scene_that_has_only_lights(work):
     """A scene without objects gives no error; materials print emission."""
     work.path("lamp.toml").write_text('[[lights]]\ntype = "sphere"\nposition = [0, 0, 1]\nradius = 0.5\n')
     shown = " ".join(work.run("info", "@lamp.toml").out.split())

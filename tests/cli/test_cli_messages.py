@@ -30,7 +30,9 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 
 
 @pytest.mark.parametrize("command", [kind.__metadata__[0].name for kind in get_args(_Command)])
-def test_help_of_commands_does_not_show_none(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_of_each_command_never_shows_the_python_value_none(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """An optional option lists the values that it accepts."""
     assert main([command, "--help"]) == 0
     printed = capsys.readouterr().out
@@ -138,7 +140,9 @@ def test_set_options_of_ray_tracing_reach_the_frame(work):
         (["--json", "a.ply"], ["--json", "a.ply"]),
     ],
 )
-def test_numbers_with_spaces_behind_an_option_are_joined(typed: list[str], joined: list[str]) -> None:
+def test_numbers_typed_with_spaces_after_an_option_become_one_comma_separated_value(
+    typed: list[str], joined: list[str]
+) -> None:
     """Other arguments stay unchanged."""
     assert joined_numbers(typed) == joined
 
@@ -184,7 +188,7 @@ def test_frame_range_with_a_step_of_0_is_refused() -> None:
         frame_numbers("--frames", "1-8x0", 10)
 
 
-def test_info_refuses_a_folder_of_several_captures_with_their_names(work):
+def test_info_refuses_a_folder_of_several_captures_and_lists_their_names(work):
     """The folder is a streamed SOG without its lod-meta.json."""
     for name in ("1_0", "0_0"):
         (work.path("streamed") / name).mkdir(parents=True)

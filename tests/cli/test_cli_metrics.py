@@ -115,7 +115,7 @@ def test_metrics_composites_transparent_images_over_black(work):
     assert done["mean"]["psnr"] == "inf" or done["mean"]["psnr"] > 120.0
 
 
-def test_metrics_compares_the_light_of_an_avatar_and_a_scene(work):
+def test_metrics_command_compares_lighting_of_an_avatar_with_that_of_its_scene(work):
     """Values equal those of the library; with ``--before``, the table has the gain."""
     avatar, relit, room = (work.capture(name) for name in ("avatar.ply", "relit.ply", "room.ply"))
     report = json.loads(work.run("metrics", "@avatar.ply", "--scene", "@room.ply", "--json").out)

@@ -73,19 +73,19 @@ def test_render_with_one_sample_logs_no_noise_estimate(lines) -> None:
     ],
     ids=["smooth", "kept capture", "noise given", "unlit"],
 )
-def test_render_logs_nothing_about_frames_with_little_noise(lines, scene: str, options: tuple[str, ...]) -> None:
+def test_render_logs_no_warning_about_frames_with_little_noise(lines, scene: str, options: tuple[str, ...]) -> None:
     """Setting ``noise`` also suppresses the log line."""
     assert lines(scene, *options) == []
 
 
-def test_render_logs_no_path_noise_if_denoised_or_of_other_pipelines(lines) -> None:
+def test_render_logs_no_noise_warning_of_the_path_pipeline_if_denoised_or_traced(lines) -> None:
     """Pipelines that sample lights at random have a different line."""
     assert lines(FLOOR + BOX + AREA_LIGHT, "--samples", "2", pipeline="trace") == []
     pytest.importorskip("mitsuba_oidn")
     assert lines(FLOOR + BOX + AREA_LIGHT, "--samples", "2", "--denoise") == []
 
 
-def test_logged_noise_covers_95_percent_of_the_pixels() -> None:
+def test_logged_noise_of_a_frame_is_the_95th_percentile_of_the_pixels_noise() -> None:
     """The variance layer gives a smaller relative error in 95 % of the pixels."""
     floor, light = ls.plane(6.0, 6.0), ls.LightSphere((0.0, 2.0, 0.0), 0.4, intensity=9.0)
     camera = ls.Camera.look_at((0, 2, 3), (0, 0, 0), (0, 1, 0), width=24, height=16)

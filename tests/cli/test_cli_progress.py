@@ -60,7 +60,7 @@ def test_progress_text_after_a_comma_updates_the_same_progress_bar(monkeypatch) 
         assert not bars.tasks
 
 
-def test_frames_limited_by_time_or_noise_print_their_samples(work, caplog) -> None:
+def test_render_prints_how_many_samples_a_limit_of_time_or_noise_allowed(work, caplog) -> None:
     """The summary line has the samples; a log line reports noise above the requested one."""
     path = ("render", "@mesh.obj", *SIZE, "--pipeline", "path", "--set=max_bounces=1", "-o", "@a.png")
     timed = work.run(*path, "--set=time_limit=0.001")

@@ -73,7 +73,7 @@ def test_relight_in_a_constant_white_environment_changes_no_colours(work):
     np.testing.assert_allclose(lit_sides(work, "b.ply"), 0.0, atol=1e-5)
 
 
-def test_relight_options_equal_arguments_of_the_library(work):
+def test_relight_command_gives_the_capture_of_the_library_with_equal_arguments(work):
     """The library gives the same capture and the same image."""
     options = ("--at", "1", "-0.5", "0.25", "--degree", "2", "--exponent", "3", "--scale-max", "0.5", "--gamma", "2")
     done = work.run(

@@ -38,7 +38,7 @@ def remarks(scene: ls.Scene, **changes: object) -> list[str]:
         ),
     ],
 )
-def test_render_logs_unlit_sides_of_meshes_beside_captures(scene: ls.Scene, objects: str) -> None:
+def test_render_logs_that_sides_of_meshes_near_captures_are_black_without_light(scene: ls.Scene, objects: str) -> None:
     """One line names the black objects and a remedy."""
     (line,) = remarks(scene)
     assert line.startswith(f"sides of {objects} that no light reaches are black: [environment]")
@@ -115,7 +115,7 @@ def test_render_logs_a_capture_with_albedo_but_without_a_material() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ["path", "realtime"])
-def test_render_logs_objects_lit_by_captures_alone(pipeline: str) -> None:
+def test_render_logs_that_only_captures_light_the_objects_of_a_scene_without_lights(pipeline: str) -> None:
     """The line names ``--capture-gain``, and is absent if a gain or a light is given."""
     scene = ls.Scene([KEPT], [WALL])
     (line,) = remarks(scene, pipeline=pipeline)
@@ -139,7 +139,7 @@ def test_capture_gain_auto_estimates_and_logs_the_gain(tmp_path, capsys, monkeyp
 
 
 @pytest.mark.parametrize("command", ["render", "orbit"])
-def test_commands_log_black_sides_once_and_not_with_an_environment(
+def test_unlit_black_sides_are_logged_once_per_command_unless_there_is_an_environment(
     tmp_path, capsys, monkeypatch, caplog, command
 ) -> None:
     """The environment in a scene.toml is the remedy that the line names."""

@@ -95,7 +95,7 @@ def test_shadowmap_reports_mistakes_in_one_line(work: Workspace, args: tuple[str
     assert work.files() == before
 
 
-def test_casters_of_a_scene_file_use_the_up_of_the_capture(work: Workspace) -> None:
+def test_shadow_casters_of_a_scene_file_have_the_up_direction_of_the_capture(work: Workspace) -> None:
     """An up direction stated in the scene file has precedence; a line reports which is used."""
     (work.folder / "up.obj").write_text("v -0.3 0 1\nv 0.3 0 1\nv 0 2 1\nf 1 2 3\n")
     entry = '[[meshes]]\npath = "up.obj"\nupright = true\n'

@@ -36,7 +36,7 @@ def mesh_scene(work: Workspace) -> ls.Scene:
 
 
 @pytest.mark.parametrize("view", ["normal", "depth", "index", "transmittance"])
-def test_render_view_replaces_the_image(work, view):
+def test_view_option_of_render_writes_that_view_in_place_of_the_image(work, view):
     """``--view`` writes the library's view of the same frame under the image's name, and no other file."""
     assert work.run(*ARGS, "--frames", "left", "--view", view, "-o", "@out").status == 0
     scene, camera = mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0]
@@ -131,7 +131,7 @@ def test_sixteen_bit_depth_image_stores_its_range(work):
     np.testing.assert_allclose(depth[hit], frame.depth[hit], atol=0.51 / 65534 * (far - near) + 1e-6)
 
 
-def test_sixteen_bit_depth_images_of_no_surface_or_one_plane_are_valid(work):
+def test_sixteen_bit_depth_images_are_valid_without_a_surface_and_at_constant_depth(work):
     """Without a surface all pixels are 0; a range of zero length divides nothing by zero."""
     frame = ls.render(ls.Scene(), front_camera(8, 6), device="cpu")
     assert frame.depth_range is None
@@ -142,7 +142,7 @@ def test_sixteen_bit_depth_images_of_no_surface_or_one_plane_are_valid(work):
     assert (np.asarray(Image.open(work.path("flat.depth16.png"))) == 1).all()
 
 
-def test_set_crease_angle_of_meshes_changes_normals(work) -> None:
+def test_crease_angle_set_on_the_command_line_makes_mesh_normals_smooth_or_flat(work) -> None:
     """An OBJ without normals is smooth with a wide angle and flat with 0; the angle is in degrees."""
     sheet = "v -1 -1 5\nv 0 -1 4\nv 0 1 4\nv -1 1 5\nv 1 -1 5\nv 1 1 5\nf 1 2 3 4\nf 2 5 6 3\n"
     work.path("sheet.obj").write_text(sheet)

@@ -37,7 +37,7 @@ def expected(work: Workspace, camera: ls.Camera) -> np.ndarray:
 SIZE: Any = {"width": 48, "height": 32}
 
 
-def test_viewpoint_angles_equal_those_of_frame_camera(work) -> None:
+def test_azimuth_and_elevation_options_give_the_camera_of_frame_camera(work) -> None:
     """Angles are in degrees on the command line, in radians in Python."""
     scene = ls.Scene([work.capture("capture.ply")])
     camera = ls.frame_camera(scene, azimuth=math.radians(30), elevation=math.radians(-10), distance=6.0, **SIZE)
@@ -47,7 +47,7 @@ def test_viewpoint_angles_equal_those_of_frame_camera(work) -> None:
     np.testing.assert_array_equal(shown(work, "--fov", "20", "--target", "0.2 0.1 4"), expected(work, lens))
 
 
-def test_eye_and_target_options_equal_look_at(work) -> None:
+def test_eye_and_target_options_of_render_give_the_camera_of_look_at(work) -> None:
     """Up is that of the capture, y down; a number may be negative and come first."""
     camera = ls.Camera.look_at((-1, -0.5, 0), (0, 0, 4), (0, -1, 0), fov_y=math.radians(50), **SIZE)
     near = min(camera.near, 1e-3 * math.dist((-1, -0.5, 0), (0, 0, 4)))

@@ -273,7 +273,7 @@ def test_backgrounds_are_accepted_as_text(text: str, color: tuple[float, float, 
     assert ls.RenderConfig(background=cast(Any, text)) == ls.RenderConfig(background=color)
 
 
-def test_single_layer_name_is_accepted_as_text() -> None:
+def test_layers_of_a_render_config_may_be_given_as_one_string() -> None:
     """A single name needs no tuple, and a text may list several names."""
     assert ls.RenderConfig(aovs=cast(Any, "hits")).aovs == ("hits",)
     assert ls.RenderConfig(aovs=cast(Any, "hits, albedo")).aovs == ("albedo", "hits")

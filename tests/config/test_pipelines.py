@@ -22,14 +22,14 @@ def test_each_pipeline_has_a_unique_visibility_and_integrator(pipeline: ls.Pipel
     assert [one for one in ls.Pipeline if (one.visibility, one.integrator) == pair] == [pipeline]
 
 
-def test_hybrid_pipeline_has_the_visibility_of_raster_and_rays_of_trace() -> None:
+def test_hybrid_pipeline_has_the_visibility_of_raster_and_the_integrator_of_trace() -> None:
     """Hybrid frames find primary hits as raster does, and carry light as trace does."""
     assert ls.Pipeline.RASTER.visibility is ls.Pipeline.HYBRID.visibility is Visibility.RASTERISED
     assert ls.Pipeline.TRACE.integrator is ls.Pipeline.HYBRID.integrator is Integrator.WHITTED
 
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
-def test_pipelines_with_bounces_light_scenes_without_lights(pipeline: ls.Pipeline) -> None:
+def test_pipelines_with_light_bounces_compute_lighting_also_without_lights(pipeline: ls.Pipeline) -> None:
     """Other pipelines light a scene only if it has lights; the setting lighting has precedence."""
     config = ls.RenderConfig(pipeline=pipeline)
     assert config.is_lit(by_default=True)
@@ -65,7 +65,7 @@ def test_frames_that_are_exact_with_one_sample_use_no_random_numbers() -> None:
     assert "trace.strategy" in replace(exact, pipeline=ls.Pipeline.PATH).unused_settings(lit=True)
 
 
-def test_source_code_outside_config_pipelines_compares_no_pipelines() -> None:
+def test_only_config_pipelines_py_compares_pipelines_with_each_other() -> None:
     """Other code asks for the property that it depends on: `rasterises`, `bounces_light` and so on."""
     asking: list[str] = []
     for path in SOURCES.rglob("*.py"):

@@ -40,7 +40,7 @@ def test_given_realtime_settings_override_the_quality_preset() -> None:
     assert (other.probes.refreshed, other.probes.tile, other.filter.frames, other.filter.passes) == (0.5, 8, 9, 4)
 
 
-def test_unfiltered_realtime_frames_sample_light_in_every_frame() -> None:
+def test_realtime_frames_without_a_noise_filter_sample_light_in_every_frame() -> None:
     """Otherwise newly visible surfaces would be black in every second frame."""
     for passes, interval in ((0, 1), (1, 1), (3, 2)):
         config = ls.RealtimeConfig(light_interval=2, filter=ls.config.FilterConfig(passes=passes))

@@ -244,7 +244,7 @@ def test_settings_in_groups_are_listed_by_dotted_name_with_range_and_unit() -> N
     assert named["capture_gain"].limits == "Takes -16.0 to 16.0, in stops."
 
 
-def test_converter_of_a_setting_accepts_more_types_than_it_stores() -> None:
+def test_setting_with_a_converter_accepts_values_of_types_that_the_field_does_not_have() -> None:
     """The converter gets the value and the field's name, and errors of the converter name the field."""
 
     def doubled(value: str | float, name: str = "number") -> float:

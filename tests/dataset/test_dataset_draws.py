@@ -37,7 +37,7 @@ def test_random_numbers_of_data_sets_fill_their_ranges_uniformly() -> None:
 
 
 @pytest.mark.parametrize("count", [20, 101, 1000])
-def test_data_set_splits_have_the_set_fractions_for_any_number_of_views(count: int) -> None:
+def test_data_set_splits_have_the_configured_fractions_for_any_number_of_views(count: int) -> None:
     """Counts are within three views for any seed; the split of a view does not depend on the number of views."""
     fractions = (0.7, 0.2, 0.1)
     for seed in range(20):

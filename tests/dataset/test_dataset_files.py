@@ -194,7 +194,7 @@ def test_data_set_ids_of_more_than_255_objects_are_16_bit(tmp_path) -> None:
     assert png_pixels(tmp_path / "instance/view_000000.png").dtype == np.uint16
 
 
-def test_data_sets_refuse_realtime_frames_and_albedo_of_unlit_views(tmp_path) -> None:
+def test_data_sets_refuse_the_realtime_pipeline_and_albedo_layers_of_unlit_views(tmp_path) -> None:
     """The error has one line."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME renders frames that depend on earlier frames"):
         ls.dataset.render_dataset(

@@ -39,7 +39,7 @@ def object_file(tmp_path) -> str:
     return str(path)
 
 
-def test_dome_cameras_of_a_data_set_are_within_the_set_ranges() -> None:
+def test_dome_cameras_of_a_data_set_are_within_the_configured_ranges() -> None:
     """Ranges limit elevation, azimuth, distance, field of view and aim; images are upright."""
     poses = ls.config.DatasetPoses(
         elevation=(20.0, 40.0), azimuth=(0.0, 90.0), distance=(0.9, 1.1), aim=0.05, fov=(40.0, 50.0)
@@ -92,7 +92,7 @@ def test_data_set_cameras_in_free_space_keep_their_clearance() -> None:
         assert -60.0 - 1e-9 <= math.degrees(math.asin(forward[1])) <= -10.0 + 1e-9
 
 
-def test_data_set_cameras_near_given_cameras_stay_within_the_set_limits() -> None:
+def test_data_set_cameras_near_given_cameras_stay_within_the_configured_distance() -> None:
     """An empty list of cameras is an error of one line."""
     given = [ls.Camera.look_at((x, 2.0, 4.0), (0.0, 0.5, 0.0)) for x in (-1.0, 1.0)]
     poses = ls.config.DatasetPoses(where=ls.config.PosePlaces.CAMERAS, shift=0.02, turn=4.0)
@@ -108,7 +108,7 @@ def test_data_set_cameras_near_given_cameras_stay_within_the_set_limits() -> Non
         ls.dataset.DatasetViews(block_scene(), small_config(poses=poses), device="cpu")
 
 
-def test_data_set_objects_stand_on_the_ground_without_contact(object_file) -> None:
+def test_data_set_objects_stand_upright_on_the_ground_without_touching_each_other(object_file) -> None:
     """Objects stand upright on the floor or the block with the right size and distance; a camera aims at one object."""
     objects = ls.config.DatasetObjects(files=(object_file,), count=(2, 4), size=(0.05, 0.1))
     poses = ls.config.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
@@ -203,7 +203,7 @@ def test_data_set_view_depends_only_on_its_index(object_file) -> None:
     assert not np.array_equal(first[0].camera.camera_from_world, shifted.camera.camera_from_world)
 
 
-def test_data_set_lights_are_within_the_set_ranges() -> None:
+def test_data_set_lights_are_within_the_configured_ranges() -> None:
     """Ranges limit elevation, lux and angle of suns and the illuminance of point lights.
 
     Without an environment there is a sky.
@@ -291,7 +291,7 @@ def test_data_set_box_of_a_capture_ignores_stray_gaussians() -> None:
     np.testing.assert_allclose(thing.high, 1.0, atol=0.02)
 
 
-def test_data_set_captures_and_meshes_without_a_name_share_a_category_of_their_kind() -> None:
+def test_data_set_objects_without_a_name_have_the_category_capture_or_mesh() -> None:
     """Their names have an index."""
     captures = [random_gaussians(seed, count=30) for seed in (1, 2)]
     scene = ls.Scene([*captures, ls.SplatInstance(captures[0], name="oak")], [replace(ls.box(1.0), name="")], up="y-up")

@@ -47,7 +47,7 @@ def test_demo_scene_has_many_colours_and_materials(demo: ls.Scene) -> None:
     assert any(pbr_of(instance.mesh).metallic == 1.0 for instance in demo.meshes)
 
 
-def test_baked_daylight_of_the_demo_only_darkens_the_albedo(demo: ls.Scene) -> None:
+def test_baked_daylight_of_the_demo_makes_no_colour_brighter_than_its_albedo(demo: ls.Scene) -> None:
     """The display colour is albedo times light of 0..1, with both sun and shade."""
     gaussians = demo.splats[0].gaussians
     assert gaussians.albedo is not None

@@ -113,7 +113,7 @@ def nearest_on_centre_line(points: np.ndarray) -> np.ndarray:
     return flat / np.linalg.norm(flat, axis=1, keepdims=True)
 
 
-def test_lathed_shape_is_smooth_across_its_seam_with_v_by_arc_length() -> None:
+def test_lathed_shapes_share_normals_at_their_seam_and_v_follows_profile_length() -> None:
     """First and last column share their normals; v follows the profile's length, not its rows."""
     mesh = shapes.lathe([(0.2, 1.0), (0.3, 0.9), (0.3, 0.0)], columns=8)
     assert mesh.normals is not None and mesh.uvs is not None

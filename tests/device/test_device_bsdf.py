@@ -280,7 +280,7 @@ def test_pbr_bsdf_conserves_energy_in_a_white_furnace(alpha: float) -> None:
 
 
 @pytest.mark.parametrize("cos", COSINES)
-def test_perfect_mirror_of_small_roughness_reflects_all_light(cos: float) -> None:
+def test_metal_of_reflectance_1_and_small_roughness_reflects_all_light(cos: float) -> None:
     """A reflectance of 1 at small roughness reflects all light."""
     if cos > 0.1:
         assert highlighted(pbr(0.01, 0.0, 1.0), direction(cos, 1.0)) == pytest.approx(1.0, abs=0.01)

@@ -157,9 +157,7 @@ def test_environment_without_an_image_is_sampled_uniformly() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (7, 1), (6, 12), (9, 16)])
-def test_environment_pdf_is_proportional_to_the_mean_brightness_of_the_cell(
-    shape: tuple[int, int], device: str
-) -> None:
+def test_environment_pdf_of_a_texel_is_proportional_to_its_mean_brightness(shape: tuple[int, int], device: str) -> None:
     """The pdf of a texel's cell matches brute-force averages of the lookup, and integrates to 1 over the sphere."""
     image = np.random.default_rng(5).random((*shape, 3), dtype=np.float32)
     height, width = shape
@@ -206,7 +204,7 @@ def test_mean_of_environment_samples_is_the_total_irradiance() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_environment_pdf_is_positive_wherever_radiance_is(seed: int) -> None:
+def test_environment_pdf_is_positive_wherever_the_radiance_is_positive(seed: int) -> None:
     """The pdf is above 0 next to black texels, and for texels that a sun outshines by many decades."""
     rng = np.random.default_rng(seed)
     image = np.zeros((12, 24, 3), dtype=np.float32)

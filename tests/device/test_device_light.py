@@ -155,7 +155,7 @@ def test_directional_light_and_headlight_do_not_fall_off_with_distance() -> None
     np.testing.assert_allclose(samples["distance"], (math.sqrt(5.25), 4.0), rtol=1e-6)
 
 
-def test_hard_rectangle_light_matches_the_closed_form() -> None:
+def test_rectangle_light_without_soft_shadows_matches_its_closed_form_irradiance() -> None:
     """Area 6 at 6 units gives radiance times 6 / 36, half of it at 60 degrees, 0 behind, at most radiance times pi."""
     table = light(LIGHT_RECT, position=(0.0, 6.0, 0.0), edge_u=(2.0, 0.0, 0.0), edge_v=(0.0, 0.0, 3.0))
     np.testing.assert_allclose(table["direction"][0], (0.0, -1.0, 0.0))
@@ -332,7 +332,7 @@ FLAT = {
 
 
 @pytest.mark.parametrize("kind", FLAT)
-def test_ray_hits_on_lights_have_the_distance_and_pdf_of_light_samples(kind: Any) -> None:
+def test_rays_that_hit_a_light_have_the_distance_and_pdf_of_samples_of_that_light(kind: Any) -> None:
     """Distance and pdf of the intersection equal those of the sample; the pdf integrates to 1 over the sphere."""
     table = light(kind, **FLAT[kind])
     towards = table["direction"][0].astype(np.float64)

@@ -78,7 +78,7 @@ def frames(gaussians: ls.Gaussians) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_all_kernel_degrees_respond_equally_at_three_standard_deviations(degree: int) -> None:
+def test_gaussian_response_at_three_standard_deviations_is_equal_for_all_kernel_degrees(degree: int) -> None:
     """At three standard deviations, every degree responds by exp(-4.5); NVIDIA's linear kernel deviates by 0.1 %."""
     _, alphas = probe(kernel_of(degree), np.array([0.9]), np.array([3.0]), "cpu")
     assert alphas[0] == pytest.approx(0.9 * math.exp(-4.5), rel=1e-3 if degree == 0 else 1e-5)
@@ -104,7 +104,7 @@ def test_alpha_of_a_traced_gaussian_is_opacity_times_response(degree: int, devic
 @pytest.mark.parametrize("adaptive", [True, False])
 @pytest.mark.parametrize("min_response", [0.0, 0.0113, 0.5])
 @pytest.mark.parametrize("degree", DEGREES)
-def test_reach_of_a_gaussian_ends_at_minimum_alpha_or_minimum_response(
+def test_reach_of_a_gaussian_ends_where_alpha_or_response_first_falls_to_its_minimum(
     degree: int, min_response: float, adaptive: bool, device: str
 ) -> None:
     """At the reach either alpha is 1/255 or the response is ``min_response``, whichever comes first.
@@ -122,7 +122,7 @@ def test_reach_of_a_gaussian_ends_at_minimum_alpha_or_minimum_response(
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_gaussians_below_an_opacity_of_1_255_have_no_reach(degree: int) -> None:
+def test_gaussians_of_opacity_below_1_255_have_a_negative_squared_reach(degree: int) -> None:
     """The squared reach is negative below an opacity of 1/255, 0 at it, and positive above."""
     step = np.float32(ALPHA_MIN)
     opacities = np.array([0.0, 1e-30, 0.5 * step, np.nextafter(step, np.float32(0.0)), step, 1.01 * step])
@@ -131,7 +131,7 @@ def test_gaussians_below_an_opacity_of_1_255_have_no_reach(degree: int) -> None:
 
 
 @pytest.mark.parametrize("adaptive", [True, False])
-def test_adaptive_minimum_response_drops_transparent_gaussians(adaptive: bool) -> None:
+def test_adaptive_clamping_drops_gaussians_of_opacity_below_the_minimum_response(adaptive: bool) -> None:
     """With a minimum of 0.5, adaptive clamping drops an opacity of 0.4; fixed clamping changes no reach by opacity."""
     reaches, _ = probe(kernel_of(2, 0.5, adaptive), np.array([0.4, 0.8, 1.0]), np.ones(3), "cpu")
     half = 2.0 * math.log(2.0)
@@ -195,7 +195,7 @@ def test_bounding_boxes_tightly_contain_the_ellipsoids_of_gaussians(degree: int,
         assert (out <= slack).all()
 
 
-def test_gaussians_without_reach_have_inverted_bounding_boxes() -> None:
+def test_gaussians_too_transparent_to_be_hit_have_inverted_bounding_boxes() -> None:
     """An inverted box is hit by no ray and leaves a union with another box unchanged."""
     gaussians = ls.Gaussians(
         [[1.0, 2.0, 3.0]] * 2, [[1, 0, 0, 0]] * 2, np.ones((2, 3)), [0.0, 0.0039], np.ones((2, 1, 3))

@@ -83,7 +83,7 @@ def test_random_draws_match_stored_values(sample_key: int, dimension: int, value
     assert random.draw(wp.uint32(sample_key), wp.uint32(dimension)) == value * 2.0**-24
 
 
-def test_random_word_permutation_matches_its_published_definition() -> None:
+def test_bit_mixing_of_random_numbers_matches_its_published_definition() -> None:
     """The test contains the published permutation, written with Python's integers."""
     for word in (1, 2, 0xDEADBEEF, LAST, 0x80000000):
         x = word
@@ -116,7 +116,7 @@ def test_random_numbers_of_kernels_numpy_and_python_have_equal_bits(device: str)
         assert random.draw_mixed(sample_key, random.mix(wp.uint32(int(dimensions[i])))) == drawn[i]
 
 
-def test_random_draws_stay_below_one_for_the_largest_word() -> None:
+def test_random_draw_from_the_largest_32_bit_word_is_below_1() -> None:
     """The largest word also gives a draw below 1, since float32 represents 24 bits exactly."""
     inverse = pow(0xD35A2D97, -1, 2**32), pow(0x21F0AAAD, -1, 2**32)
     word = LAST  # the inverse permutation, which finds the word that it maps to 0xFFFFFFFF
@@ -130,7 +130,7 @@ def test_random_draws_stay_below_one_for_the_largest_word() -> None:
     assert random.draw(wp.uint32(sample_key), wp.uint32(9)) == 1.0 - 2.0**-24
 
 
-def test_random_dimensions_of_lens_and_branches_do_not_overlap_gaussian_indices() -> None:
+def test_random_dimensions_of_lens_and_path_branches_differ_from_those_of_gaussians() -> None:
     """Dimensions of lens and branches count down from the largest number; those of Gaussians count up by index."""
     taken = [int(value) for value in (random.LENS_RADIUS, random.LENS_ANGLE, random.BRANCH_LAST)]
     assert taken == [LENS_RADIUS, LENS_ANGLE, BRANCH_LAST] == [LAST, LAST - 1, LAST - 2]
@@ -183,7 +183,7 @@ def test_random_draws_of_different_samples_and_seeds_are_independent(step: int) 
             assert np.abs(pair_z(absorbed(first, dimension), absorbed(second, dimension))).max() < LIMIT
 
 
-def test_random_draws_of_lens_coordinates_and_of_branches_are_independent() -> None:
+def test_both_random_lens_coordinates_are_independent_and_so_are_draws_after_bounces() -> None:
     """The two lens coordinates are independent, and so are a Gaussian's draws before and after a mirror or glass."""
     key = sample_keys(PIXELS)
     assert np.abs(pair_z(absorbed(key, LENS_RADIUS), absorbed(key, LENS_ANGLE))).max() < LIMIT
@@ -200,7 +200,7 @@ def test_all_pixels_and_samples_have_distinct_random_keys() -> None:
     assert np.unique(sample_keys(7, PIXELS)).size == PIXELS.size
 
 
-def test_randomness_statistics_reject_weak_generators() -> None:
+def test_statistical_tests_of_random_numbers_reject_weak_generators() -> None:
     """The statistical tests reject an unmixed counter and the low bits of a multiplication."""
     key = sample_keys(PIXELS)
     with np.errstate(over="ignore"):

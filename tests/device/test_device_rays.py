@@ -284,7 +284,7 @@ def test_circle_of_confusion_matches_the_thin_lens_formula(model: ls.CameraModel
         assert np.abs((points - middle).mean(axis=(0, 1))).max() < 4.0 * 0.5 * 0.2 * abs(depth / 2.0 - 1.0) / 64.0
 
 
-def test_fisheye_aperture_is_perpendicular_to_each_ray() -> None:
+def test_aperture_disk_of_a_fisheye_is_perpendicular_to_each_camera_ray() -> None:
     """The blur has the same size across the image, for rays that point sideways or backwards, too."""
     camera = front_camera(40, 40, 9.0, model=FISHEYE, aperture=0.3, focus_distance=2.0)
     rays, center = device_rays(camera, 1, jitter=False), device_rays(replace(camera, aperture=0.0))

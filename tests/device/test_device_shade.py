@@ -32,7 +32,7 @@ def z_of_counts(values: np.ndarray, bins: int) -> float:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_sixteen_stochastic_samples_draw_one_number_in_each_sixteenth(device: str) -> None:
+def test_each_16_stochastic_samples_draw_one_number_in_each_sixteenth_of_0_to_1(device: str) -> None:
     """Each aligned run of 16 samples has one draw per stratum in every dimension; draws are multiples of 2^-24."""
     drawn = numbers(device, 500, 64)
     assert (drawn >= 0.0).all() and (drawn < 1.0).all()
@@ -60,7 +60,7 @@ def test_stratified_draws_of_stochastic_samples_are_uniform_and_independent(devi
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_stratified_draws_of_two_gaussians_are_independent(device: str) -> None:
+def test_stratified_random_numbers_of_different_gaussians_are_independent(device: str) -> None:
     """The number of samples where both Gaussians draw low numbers follows the hypergeometric distribution."""
     low = numbers(device, 1 << 15, 16) < 0.5
     both = (low[::2] & low[1::2]).sum(axis=1)

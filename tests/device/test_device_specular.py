@@ -168,7 +168,7 @@ def test_bounce_weights_of_smooth_white_dielectrics_add_up_to_1(
 
 
 @given(vectors, vectors, colors, unit_floats, unit_floats, unit_floats)
-def test_bounce_weights_of_no_smooth_material_add_light(
+def test_bounce_weights_of_a_smooth_material_add_up_to_at_most_1(
     direction: tuple[float, ...],
     face: tuple[float, ...],
     base: tuple[float, ...],
@@ -220,7 +220,7 @@ def test_total_internal_reflection_reflects_all_light() -> None:
 
 
 @given(vectors, vectors, vectors, indices, unit_floats)
-def test_reflections_and_refractions_stay_on_their_side_of_the_triangle(
+def test_reflected_rays_stay_in_front_of_the_triangle_and_refracted_rays_behind(
     direction: tuple[float, ...],
     face: tuple[float, ...],
     shading: tuple[float, ...],
@@ -238,7 +238,7 @@ def test_reflections_and_refractions_stay_on_their_side_of_the_triangle(
         assert np.array(refract(wp.vec3(*d), normal, result.eta)) @ side < 0.0
 
 
-def test_mirror_reflection_uses_the_shading_normal_of_either_sign() -> None:
+def test_mirror_reflection_is_equal_for_a_shading_normal_and_its_opposite() -> None:
     """A tilted shading normal bends the reflection; the sign of the normal does not matter."""
     d, n, s = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.6, 0.8])
     for normal in (s, -s):

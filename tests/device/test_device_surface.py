@@ -44,7 +44,9 @@ def test_blend_weights_and_transmittance_of_a_pixel_sum_to_one(alphas: list[floa
 
 
 @given(st.lists(st.floats(0.0, 0.99), max_size=12), st.floats(0.0, 1.0))
-def test_blending_finds_the_splat_of_the_iso_opacity_surface(alphas: list[float], iso: float) -> None:
+def test_iso_opacity_surface_is_the_first_splat_with_transmittance_below_the_threshold(
+    alphas: list[float], iso: float
+) -> None:
     """The surface is the first blended splat after which the transmittance is below the threshold, or -1."""
     pixel = blended(alphas, iso=iso)
     remaining, expected, first = np.float32(1.0), -1, -1
@@ -61,7 +63,7 @@ def test_blending_finds_the_splat_of_the_iso_opacity_surface(alphas: list[float]
     assert (pixel.surface, pixel.first) == (expected, first)
 
 
-def test_blending_marks_a_finished_pixel_by_negative_transmittance() -> None:
+def test_blending_stops_a_pixel_at_minimum_transmittance_and_marks_it_by_a_minus_sign() -> None:
     """The splat that would bring the transmittance below its minimum is dropped."""
     pixel = blended([0.9, 0.9, 0.99, 0.5])
     assert pixel.transmittance == pytest.approx(-0.01, rel=1e-4)

@@ -221,7 +221,7 @@ def test_box_entry_distance_of_a_packet_is_a_lower_bound_for_every_ray(spread: f
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_box_entry_distances_of_single_rays_are_tight(device: str) -> None:
+def test_box_entry_distances_of_single_rays_are_exact_except_for_rounding(device: str) -> None:
     """Entry distances are at most a few roundings too small; boxes that a ray misses by more are not entered."""
     packets, nodes, found = setting(0.0, device=device)
     low, high = corners(nodes)
@@ -297,7 +297,7 @@ def test_ray_packets_never_enter_empty_or_inverted_boxes() -> None:
         assert (found.entries == NEVER).all()
 
 
-def test_ray_packets_miss_boxes_off_their_direction() -> None:
+def test_ray_packets_miss_boxes_behind_them_and_beside_their_direction() -> None:
     """A packet of half a degree towards +z hits a box ahead and misses boxes 10 degrees off and behind."""
     random = np.random.default_rng(0)
     directions = normalized(np.array([0.0, 0.0, 1.0]) + 0.009 * random.uniform(-0.57, 0.57, (1, LANES, 3)))
@@ -320,7 +320,7 @@ def test_ray_packets_miss_boxes_off_their_direction() -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_ray_packet_gathers_rays_close_to_the_first_waiting_ray(device: str) -> None:
+def test_ray_packet_consists_of_rays_near_the_first_waiting_ray_and_its_direction(device: str) -> None:
     """The packet takes the first waiting ray, and rays of any lane within the radius and angular spread around it."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1

@@ -53,7 +53,7 @@ def gaussians_in_view(camera: ls.Camera, seed: int, count: int = 200) -> tuple[n
 
 
 @pytest.mark.parametrize("spread", [(1.0, 2.0, 0.0), (0.1, 2.0, 0.0), (1.0, 0.0, 1.0), (0.5, 2.0, -1.0)])
-def test_unscented_oracle_moments_are_exact_for_linear_maps(spread: tuple[float, float, float]) -> None:
+def test_oracle_of_the_unscented_transform_is_exact_for_linear_maps(spread: tuple[float, float, float]) -> None:
     """The moments are exact for every spread of the sigma points, even if the weight of the mean is negative."""
     rng = np.random.default_rng(1)
     matrix, offset = rng.normal(size=(2, 3)), rng.normal(size=2)
@@ -64,7 +64,7 @@ def test_unscented_oracle_moments_are_exact_for_linear_maps(spread: tuple[float,
     np.testing.assert_allclose(covariance, matrix @ (axes * scales**2) @ axes.T @ matrix.T, rtol=1e-8, atol=1e-10)
 
 
-def test_unscented_moments_are_exact_for_disks_facing_a_pinhole() -> None:
+def test_unscented_projection_of_disks_facing_a_pinhole_camera_is_exact() -> None:
     """Disks perpendicular to the optical axis have constant depth, so their projection is linear."""
     camera = replace(lens(45.0), camera_from_world=np.eye(4))
     rng = np.random.default_rng(2)
@@ -84,7 +84,7 @@ def test_unscented_moments_are_exact_for_disks_facing_a_pinhole() -> None:
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_unscented_moments_match_the_oracle_for_every_lens(name: str) -> None:
+def test_unscented_projection_matches_the_float64_oracle_for_every_lens(name: str) -> None:
     """Means and covariances of projected Gaussians are compared for every lens."""
     camera = LENSES[name]
     points, axes, scales = gaussians_in_view(camera, 3)

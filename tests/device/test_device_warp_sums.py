@@ -13,7 +13,7 @@ DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_warp_sums_add_the_value_of_each_participating_thread_once(device: str) -> None:
+def test_sums_over_a_gpu_warp_add_the_value_of_each_participating_thread_once(device: str) -> None:
     """Some rows have a value in every thread, others in some threads or warps; the other threads are ignored."""
     random, blocks, threads = np.random.default_rng(5), 3, 32 * WARPS
     shape = (blocks, ROWS, threads)

@@ -81,7 +81,7 @@ def test_denoising_leaves_unlit_captures_unchanged_to_the_bit() -> None:
 
 
 @needs_denoiser
-def test_denoising_a_shadow_keeps_the_detail_of_the_capture_below_it() -> None:
+def test_denoising_a_shadow_on_a_capture_preserves_the_detail_of_its_colours() -> None:
     """A noisy shadow becomes smooth, while the sharp tiles of the capture in it are unchanged."""
     frame = ball_frame(*SIZE, background=None)
     rng = np.random.default_rng(1)
@@ -97,7 +97,7 @@ def test_denoising_a_shadow_keeps_the_detail_of_the_capture_below_it() -> None:
 
 
 @needs_denoiser
-def test_denoising_counts_non_finite_light_as_zero() -> None:
+def test_denoiser_replaces_nan_and_infinite_light_by_zero() -> None:
     """One NaN pixel and one infinite pixel do not spread."""
     before = noisy(ball_frame(*SIZE))
     assert before.light is not None
@@ -116,7 +116,7 @@ def test_denoising_a_denoised_frame_changes_nothing() -> None:
 
 
 @needs_denoiser
-def test_denoiser_gets_no_albedo_or_normals_of_stochastic_first_surfaces() -> None:
+def test_frames_by_stochastic_gaussians_are_denoised_without_albedo_and_normals() -> None:
     """A random first surface belongs to stochastic frames; the denoiser then gets neither albedo nor normals."""
     frame = replace(noisy(ball_frame(*SIZE)), albedo=None)
     for settings in (
@@ -131,7 +131,7 @@ def test_denoiser_gets_no_albedo_or_normals_of_stochastic_first_surfaces() -> No
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 @pytest.mark.parametrize("alpha_mode", [ls.AlphaMode.OPAQUE, ls.AlphaMode.BLEND])
-def test_denoiser_guides_are_noisy_only_with_stochastic_mesh_alpha(
+def test_denoiser_assumes_noisy_albedo_and_normals_only_with_stochastic_mesh_alpha(
     alpha_mode: ls.AlphaMode, pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If rays pass a mesh at random by its alpha, the denoiser is told that the guides have noise."""
@@ -159,7 +159,7 @@ def test_denoiser_guides_are_noisy_only_with_stochastic_mesh_alpha(
         (replace(ball_frame(), albedo=None), "the frame has no 'albedo': add it to RenderConfig.aovs"),
     ],
 )
-def test_denoising_unlit_frames_or_frames_without_albedo_is_refused(frame: ls.Frame, message: str) -> None:
+def test_frames_that_are_unlit_or_lack_an_albedo_layer_cannot_be_denoised(frame: ls.Frame, message: str) -> None:
     """The error says in one line what to do."""
     with pytest.raises(ls.ConfigError, match=message):
         frame.denoised()

@@ -41,7 +41,7 @@ def test_premultiplied_colours_of_a_frame_exclude_the_background(frame: ls.Frame
     np.testing.assert_allclose(frame.premultiplied(), frame.straight() * frame.alpha[..., None], atol=1e-6)
 
 
-def test_png_of_an_unlit_frame_shows_the_colours_as_trained(frame: ls.Frame, tmp_path: Path) -> None:
+def test_png_of_an_unlit_frame_stores_trained_colours_without_tone_mapping(frame: ls.Frame, tmp_path: Path) -> None:
     """An unlit frame is written without tone mapping: its display-referred values, rounded to 8 bits."""
     frame.save(tmp_path / "a.png")
     expected = np.floor(np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
@@ -76,7 +76,7 @@ def test_exr_stores_linear_colours_and_every_layer_under_its_nuke_name(frame: ls
     np.testing.assert_allclose(np.stack([channels[c] for c in "RGB"], axis=2), expected, atol=1e-7)
 
 
-def test_saving_a_frame_writes_only_the_named_layers(frame: ls.Frame, tmp_path: Path) -> None:
+def test_frame_saved_with_a_list_of_layers_writes_exactly_those_layers(frame: ls.Frame, tmp_path: Path) -> None:
     """An EXR holds exactly the named layers, a PNG has them as images beside it, and a misspelt name writes no file."""
     frame.save(tmp_path / "a.exr", ["depth"])
     assert read_image(tmp_path / "a.exr").keys() == {"R", "G", "B", "A", "depth.Z"}
@@ -149,7 +149,7 @@ def test_rendering_with_an_object_that_is_not_a_config_is_refused(config: Any) -
             attempt()
 
 
-def test_clear_glass_has_alpha_1_without_a_background() -> None:
+def test_pixels_of_clear_glass_have_alpha_1_and_are_black_without_a_background() -> None:
     """Clear glass has alpha 1 although its rays pass through; without a background, clear glass is black."""
     scene = ls.Scene(meshes=[slab(3.0, 0.5, GLASS, half=9.0)])
     camera = scenes.front_camera(8, 8)
@@ -164,7 +164,7 @@ def test_clear_glass_has_alpha_1_without_a_background() -> None:
     assert hits.transmittance[0] == 0.0
 
 
-def test_image_with_more_pixels_than_32_bit_indices_is_refused() -> None:
+def test_render_refuses_images_of_more_pixels_than_32_bit_indices_can_count() -> None:
     """An image too large for 32-bit indices is an error before anything is allocated."""
     with pytest.raises(ls.SceneError, match="at most 200,000,000 pixels"):
         ls.render(ls.Scene(), scenes.front_camera(65536, 65536), device="cpu")

@@ -78,7 +78,7 @@ def test_premultiplied_colours_of_a_lit_frame_are_linear_without_background() ->
     assert over.premultiplied()[over.alpha == 0.0].max() == 0.0
 
 
-def test_capture_of_partial_alpha_without_background_keeps_colour_times_alpha() -> None:
+def test_premultiplied_colour_of_a_lit_transparent_capture_is_its_colour_times_alpha() -> None:
     """A capture of alpha 0.6 over a background keeps its colour, and 0.6 of its radiance."""
     frame = ball_frame(1, 1)
     captured = np.array([[[0.9, 0.2, 0.4]]], np.float32)

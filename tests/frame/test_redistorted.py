@@ -79,7 +79,7 @@ def test_depth_of_realtime_distorted_frames_equals_the_depth_of_rays(lens: Any) 
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_lens_distortion_adds_no_difference_between_raster_and_rays(lens):
+def test_rasterised_and_traced_frames_differ_no_more_with_lens_distortion_than_without(lens):
     """With lens distortion, raster and rays without a footprint differ no more than without distortion."""
     scene = ls.Scene([random_gaussians(5, count=400, center=(0, 0, 5), extent=(2.5, 2.0, 0.5))])
     difference = []
@@ -136,7 +136,7 @@ def test_background_appears_beyond_the_fold_of_the_distortion_polynomial():
     np.testing.assert_array_equal(frame.color[missing], np.broadcast_to((1.0, 0.0, 0.0), (int(missing.sum()), 3)))
 
 
-def test_distortion_near_180_degrees_and_resuming_are_refused():
+def test_raster_pipeline_refuses_distorted_lenses_near_180_degrees_and_resuming_them():
     """A lens near 180 degrees would need an unbounded pinhole image; a resumed frame would be filtered twice."""
     with pytest.raises(ls.SceneError, match=r"undistorted image of .* use Pipeline.TRACE"):
         undistorted_camera(front_camera(96, 72, 60.0, distortion=(-0.3, 0.045, 0.0, 0.0, 0.0, 0.0), fx=40.0, fy=40.0))

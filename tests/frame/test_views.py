@@ -38,7 +38,7 @@ def oklab(srgb: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("view", OF_ALL_PIPELINES)
-def test_every_view_of_a_frame_is_an_image_in_0_to_1_saved_unchanged(
+def test_each_view_of_a_frame_has_values_from_0_to_1_and_is_saved_unchanged(
     frame: ls.Frame, view: str, tmp_path: Path
 ) -> None:
     """Each view has the image's size, lies in 0..1, is not empty, and is saved unchanged."""
@@ -75,7 +75,7 @@ def test_depth_view_runs_from_red_to_blue_over_the_depth_range(frame: ls.Frame) 
     np.testing.assert_allclose(picture[same], other[0, 2], atol=0.05)
 
 
-def test_views_of_a_frame_without_any_surface_are_black_or_unlit(frame: ls.Frame) -> None:
+def test_views_of_a_frame_without_surfaces_are_black_and_its_shadow_view_unlit(frame: ls.Frame) -> None:
     """Views of surfaces are black, and the view of shadows has the colour of pixels that no light reaches."""
     empty = replace(
         frame,
@@ -95,7 +95,7 @@ def test_views_of_a_frame_without_any_surface_are_black_or_unlit(frame: ls.Frame
     assert not layer_pictures(empty, "lights")
 
 
-def test_shadow_view_weights_lights_by_their_brightness(frame: ls.Frame) -> None:
+def test_shadow_view_averages_shadows_of_all_lights_weighted_by_brightness(frame: ls.Frame) -> None:
     """For lights of brightness 3 and 1, a half shadow of the brighter one leaves five eighths; no light is blue."""
     direct = np.zeros((2, 1, 4, 3), np.float32)
     shadow = np.ones_like(direct)
@@ -109,7 +109,7 @@ def test_shadow_view_weights_lights_by_their_brightness(frame: ls.Frame) -> None
     np.testing.assert_allclose(picture[0], expected, atol=1e-6)
 
 
-def test_hits_view_is_logarithmic_on_a_fixed_scale(frame: ls.Frame) -> None:
+def test_view_of_hit_counts_has_a_fixed_logarithmic_colour_scale(frame: ls.Frame) -> None:
     """Each doubling of 1 + hits is an equal step on a fixed scale; zero hits are black."""
     hits = np.array([[0.0, 1.0, 3.0, 15.0, 255.0, 9000.0]], np.float32)
     picture = replace(frame, hits=hits).view("hits")[0]

@@ -49,7 +49,7 @@ def _cameras(count: int) -> None:
 @pytest.mark.parametrize(
     "work", [_cameras, lambda count: file_stems(["same"] * count), lambda count: light_labels(["same"] * count)]
 )
-def test_numbering_equal_names_takes_linear_work(work: Callable[[int], object]) -> None:
+def test_numbering_equal_names_takes_time_linear_in_their_number(work: Callable[[int], object]) -> None:
     """Executed lines grow with the number of names; quadratic growth would be a factor of 64."""
     work(10)
     assert _lines(lambda: work(1600)) < 10 * _lines(lambda: work(200))
@@ -84,7 +84,7 @@ def test_rescaling_a_camera_executes_fewer_than_420_lines() -> None:
     assert lines < 420, lines
 
 
-def test_numbers_appended_to_equal_names_skip_existing_names() -> None:
+def test_number_appended_to_a_repeated_name_never_gives_an_existing_name() -> None:
     """A third "a" becomes "a_3" if the name "a_2" exists already."""
     assert file_stems(["a", "a_2", "a", "a", "A"]) == ["a", "a_2", "a_3", "a_4", "A_5"]
 
@@ -122,7 +122,7 @@ def _gltf(path: Path, count: int) -> Path:
     return path
 
 
-def test_reading_gltf_nodes_takes_linear_work(tmp_path: Path) -> None:
+def test_reading_gltf_nodes_takes_time_linear_in_their_number(tmp_path: Path) -> None:
     """A node takes 110 lines of Python; pygltflib's conversion took 3,400, a quarter of a millisecond."""
     files = {count: _gltf(tmp_path / f"{count}.gltf", count) for count in (50, 100, 900)}
     ls.load_cameras(files[50])
@@ -131,7 +131,7 @@ def test_reading_gltf_nodes_takes_linear_work(tmp_path: Path) -> None:
     assert np.allclose(ls.load_cameras(files[900])[0].eye, (899, 0, 0))
 
 
-def test_loading_cameras_of_a_gltf_without_any_computes_no_transforms(
+def test_loading_cameras_of_a_gltf_without_cameras_computes_no_transforms(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """World transforms of nodes would take time in large files."""
@@ -155,7 +155,7 @@ def _faces(path: Path, empty: int) -> Path:
     return path
 
 
-def test_empty_ply_faces_take_linear_work(tmp_path: Path) -> None:
+def test_reading_empty_ply_faces_takes_time_linear_in_their_number(tmp_path: Path) -> None:
     """Empty faces are found in bulk, not parsed one by one."""
     few, many = _faces(tmp_path / "few.ply", 300), _faces(tmp_path / "many.ply", 3000)
     mesh = ls.load(many)

@@ -27,7 +27,7 @@ def test_adam_steps_match_the_paper() -> None:
     np.testing.assert_allclose(found, steps_of_paper(gradients, 0.02), rtol=1e-10)
 
 
-def test_adam_bias_correction_counts_the_steps_of_each_row() -> None:
+def test_adam_bias_correction_of_a_row_counts_only_the_steps_of_that_row() -> None:
     """Bias correction counts the steps of each row, not those of all rows."""
     gradients, rows = RNG.normal(size=(30, 4)), RNG.integers(3, size=30)
     adam = Adam.still((3, 4), by_rows=True)

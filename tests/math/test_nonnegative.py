@@ -63,7 +63,7 @@ def test_bounded_least_squares_minimum_satisfies_the_kkt_conditions(seed):
     assert multipliers.max() > 0.0
 
 
-def test_inactive_bounds_do_not_change_the_least_squares_minimum():
+def test_bounds_that_the_free_least_squares_minimum_satisfies_do_not_change_it():
     """If the unconstrained minimum satisfies the bounds, the bounded minimum equals it."""
     gram, moments = np.diag([2.0, 4.0]), np.array([2.0, 4.0])
     found = bounded_least_squares(gram, moments, np.eye(2), np.zeros(2))

@@ -20,7 +20,7 @@ def overlaps(size: int, count: int) -> np.ndarray:
 
 @settings(max_examples=60)
 @given(st.integers(1, 40), st.integers(1, 40), st.data())
-def test_area_mean_weights_pixels_by_their_overlap(height, width, data):
+def test_area_mean_downscaling_weights_pixels_by_their_overlap_with_the_new_pixel(height, width, data):
     """Every smaller size matches explicit overlap matrices in float64, including fractional pixels."""
     rows, columns = data.draw(st.integers(1, height)), data.draw(st.integers(1, width))
     image = np.random.default_rng(height * 41 + width).integers(0, 256, (height, width, 3)).astype(np.uint8)

@@ -18,7 +18,7 @@ def test_sh_basis_functions_are_orthonormal_up_to_degree_8() -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_sh_basis_has_the_order_signs_and_scale_of_captures(degree: int) -> None:
+def test_sh_basis_functions_have_order_signs_and_scale_as_in_gaussian_captures(degree: int) -> None:
     """Order, signs and scale match captures, so that coefficients of captures and of probes have the same meaning."""
     directions = unit(0, 100)
     expected = twin_basis(directions)[:, : (degree + 1) ** 2]
@@ -33,7 +33,7 @@ def test_sh_basis_of_lower_degree_is_a_prefix_of_higher_degrees() -> None:
         np.testing.assert_array_equal(sh_basis(directions, degree), highest[:, : (degree + 1) ** 2])
 
 
-def test_sh_basis_preserves_leading_axes_and_is_finite_at_the_poles() -> None:
+def test_sh_basis_accepts_directions_in_arrays_of_any_shape_and_at_the_poles() -> None:
     """Leading axes are preserved, and the poles are finite."""
     poles = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
     basis = sh_basis(poles, 4)

@@ -171,7 +171,7 @@ def test_added_light_never_darkens_a_tone_mapped_capture(tone_map: ToneMap) -> N
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_light_much_brighter_than_the_capture_is_purely_tone_mapped(tone_map: ToneMap) -> None:
+def test_capture_under_much_brighter_light_is_tone_mapped_like_any_other_surface(tone_map: ToneMap) -> None:
     """Without a capture, or where light is much brighter than the capture, the image is that of the tone mapper."""
     light = random_colors(1000)
     none = np.zeros_like(light)
@@ -208,7 +208,7 @@ def test_exposure_of_one_stop_doubles_light_before_the_tone_map(tone_map: ToneMa
         assert np.isfinite(lit_picture(captured, np.ones(1), np.ones((1, 3)), exposure, tone_map)).all()
 
 
-def test_partly_covered_captured_colour_is_decoded_after_division_by_alpha() -> None:
+def test_captured_colour_of_a_partly_covered_pixel_is_divided_by_alpha_before_decoding() -> None:
     """Half a pixel of a captured colour has half of its radiance, not the radiance of half its code value."""
     captured = np.array([[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]])
     radiance = captured_radiance(captured, np.array([0.5, 0.0]))

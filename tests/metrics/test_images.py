@@ -135,7 +135,7 @@ def test_image_metrics_of_equal_images_have_the_best_value(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_image_metrics_of_bytes_equal_those_of_floats(metric):
+def test_image_metrics_are_equal_for_8_bit_images_and_their_float_values(metric):
     """The floats are the bytes over 255."""
     image, reference = ((255 * noise_image(seed)).round().astype(np.uint8) for seed in (5, 6))
     assert metric(image, reference) == pytest.approx(metric(image / 255.0, reference / 255.0), abs=1e-6)
@@ -228,7 +228,7 @@ def ms_ssim_by_convolution(image: np.ndarray, reference: np.ndarray, weights: tu
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.1, 0.4])
-def test_ms_ssim_matches_a_second_implementation(noise):
+def test_ms_ssim_matches_a_second_implementation_written_for_the_test(noise):
     """The factors of the five scales differ widely."""
     reference = waves_image(1)
     image = noisy(reference, noise)
@@ -245,7 +245,7 @@ def test_ms_ssim_of_flat_images_is_the_luminance_of_the_coarsest_scale():
     assert ls.metrics.ms_ssim(dark, light, scales=4) == pytest.approx((0.4801 / 0.5201) ** last, abs=1e-9)
 
 
-def test_ms_ssim_of_one_scale_is_ssim():
+def test_ms_ssim_with_a_single_scale_equals_ssim():
     """The reference is scikit-image's SSIM."""
     reference = waves_image(2, (40, 33))
     image = noisy(reference, 0.1)
@@ -268,7 +268,7 @@ def test_ms_ssim_accepts_images_of_odd_size():
     assert ls.metrics.ms_ssim(image, reference, scales=2) == pytest.approx(expected, abs=1e-12)
 
 
-def test_small_images_have_fewer_scales_of_ms_ssim():
+def test_ms_ssim_uses_fewer_than_five_scales_for_small_images():
     """161 pixels suffice for five scales, 160 for four; smaller images are refused."""
     sizes = {161: 5, 160: 4, 81: 4, 80: 3, 21: 2, 20: 1, 11: 1, 10: 0}
     assert {size: ls.metrics.ms_ssim_scales(size, 500) for size in sizes} == sizes
@@ -330,7 +330,7 @@ def test_image_metrics_refuse_invalid_regions(metric):
         metric(image, image, region=np.ones(image.shape[:2]))
 
 
-def test_ssim_refuses_a_region_at_the_image_border():
+def test_ssim_refuses_a_region_without_pixels_away_from_the_image_border():
     """Windows lie inside the image, so the outermost pixels are the centre of none."""
     image = waves_image(7)
     edge = np.zeros(image.shape[:2], bool)

@@ -78,7 +78,7 @@ def test_irradiance_fit_recovers_all_16_sh_coefficients(monkeypatch):
     assert np.ptp(exact.scales) < 1e-6 * exact.scales.mean()
 
 
-def test_albedo_variation_does_not_change_the_irradiance_fit():
+def test_albedo_that_varies_over_points_does_not_change_their_fitted_irradiance():
     """Albedos independent of the normals add noise only; outliers and dark spots change nothing."""
     rng = np.random.default_rng(2)
     clean = lit_from((0, 0, 1), 0.5)
@@ -92,7 +92,7 @@ def test_albedo_variation_does_not_change_the_irradiance_fit():
     assert ls.metrics.paa_y(points(glints), reference) < 0.01
 
 
-def test_robust_fit_minimises_hubers_loss():
+def test_robust_irradiance_fit_minimises_hubers_loss():
     """The coefficients are those that a general optimiser finds for the loss of the remaining rows."""
     rng = np.random.default_rng(3)
     design = np.stack([rng.uniform(0, 2, 400), np.ones(400)], axis=1)
@@ -117,7 +117,7 @@ def test_robust_fit_minimises_hubers_loss():
     assert np.abs(robust_fit(design, values) - np.linalg.lstsq(design, values)[0]).max() > 1e-3
 
 
-def test_robust_fit_coefficients_scale_with_the_values():
+def test_coefficients_of_the_robust_irradiance_fit_are_proportional_to_the_values():
     """Values a thousand times as large have coefficients a thousand times as large."""
     rng = np.random.default_rng(4)
     design, values = rng.normal(size=(200, 3)), rng.standard_t(3, 200)
@@ -182,7 +182,7 @@ def test_ncm_ab_of_a_random_subset_depends_only_on_the_seed():
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_light_metrics_ignore_the_order_and_position_of_points(metric):
+def test_light_metrics_do_not_depend_on_the_order_or_common_position_of_points(metric):
     """Both sides may be moved together; twice the light of the avatar does not change PAA-Y."""
     rng = np.random.default_rng(7)
     normals = all_around(500)
@@ -201,7 +201,7 @@ def test_light_metrics_ignore_the_order_and_position_of_points(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_light_metrics_ignore_points_beyond_the_radius(metric):
+def test_light_metrics_ignore_scene_points_beyond_the_radius_around_the_avatar(metric):
     """Points within the radius change the metrics."""
     normals = all_around(400)
     avatar = points(lit_from((0, 0, 1), 0.5, normals), normals)
@@ -224,7 +224,7 @@ def splats(colors: np.ndarray, normals: np.ndarray | None, count: int) -> ls.Gau
     return replace(base, sh=sh.astype(np.float32), normals=normals, means=base.means - base.means.mean(axis=0))
 
 
-def test_lit_points_of_gaussians_are_linear_and_in_world_space():
+def test_points_that_light_metrics_take_from_gaussians_have_linear_world_space_values():
     """Colours are those of SH degree 0."""
     rng = np.random.default_rng(9)
     normals, colors = all_around(50), rng.uniform(0.05, 1.0, (50, 3))
@@ -253,7 +253,7 @@ def test_estimated_normals_of_a_scene_face_the_avatar():
     )
 
 
-def test_light_metrics_of_gaussians_equal_those_of_their_points():
+def test_light_metrics_of_gaussians_instances_and_scenes_equal_those_of_their_points():
     """Gaussians, instances and scenes are accepted."""
     rng = np.random.default_rng(11)
     normals = all_around(300)

@@ -11,7 +11,7 @@ from lumisplat.metrics.materials import channel_scale, environment_psnr, normal_
 RANDOM = np.random.default_rng(0)
 
 
-def test_albedo_scale_is_the_median_ratio_per_channel():
+def test_albedo_scale_of_a_channel_is_the_median_ratio_of_true_to_estimated_albedo():
     """A third of the pixels that are far off do not change the scale."""
     found = RANDOM.uniform(0.1, 0.5, (99, 3))
     truth = found * (0.5, 1.0, 1.7)
@@ -35,7 +35,7 @@ def test_albedo_scale_of_a_channel_with_few_lit_pixels_is_1():
     np.testing.assert_allclose(channel_scale(found, truth), (250.0, 1.0, 1.0))
 
 
-def test_albedo_scale_respects_pixel_weights():
+def test_albedo_scale_is_a_median_weighted_by_pixel_weights():
     """A pixel with more weight than all others together decides."""
     found, truth = np.full((3, 3), 0.5), np.array([[0.1] * 3, [0.2] * 3, [0.4] * 3])
     np.testing.assert_allclose(channel_scale(found, truth, [1.0, 1.0, 3.0]), 0.8)
@@ -64,7 +64,7 @@ def world(height: int) -> np.ndarray:
     return np.stack([0.3 + 0.2 * x, 0.3 + 0.2 * y, 0.3 + 0.1 * z * x], axis=-1)
 
 
-def test_environment_psnr_ignores_image_size_and_channel_scale():
+def test_environment_psnr_does_not_depend_on_image_size_or_scale_of_colour_channels():
     """A coarser, brighter image of the environment has no error; a rotated one has."""
     assert environment_psnr(world(64), world(64)) == np.inf
     assert environment_psnr(world(64) * (2.0, 0.5, 3.0), world(64)) > 120.0

@@ -65,7 +65,7 @@ def test_boundary_f_matches_hand_computed_values():
     assert ls.metrics.boundary_f(inner, outer) == 0.0
 
 
-def test_shadow_boundaries_within_the_tolerance_agree():
+def test_boundary_f_is_1_for_shadow_boundaries_apart_by_at_most_the_tolerance():
     """A shadow off by the tolerance has the full score, and a shadow off by one pixel more has a lower score."""
     assert ls.metrics.boundary_f(square(6, 4, 5), square(4, 4, 5)) == 1.0
     assert 0.0 < ls.metrics.boundary_f(square(7, 4, 5), square(4, 4, 5)) < 1.0
@@ -95,7 +95,7 @@ def test_shadow_strength_equal_to_the_threshold_counts_as_lit():
     assert math.isnan(ls.metrics.sae(square(4, 4, 4), square(4, 4, 4, 0.1)))
 
 
-def test_shadow_metrics_of_images_without_shadows_are_defined():
+def test_overlap_of_shadows_is_1_if_both_images_have_none_and_0_if_only_one_has_none():
     """Without a shadow in both images agreement is full, in one image none; an error over no pixels is NaN."""
     nothing, something = np.zeros((20, 20)), square(4, 4, 4)
     assert ls.metrics.sm_iou(nothing, nothing) == ls.metrics.boundary_f(nothing, nothing) == 1.0
@@ -105,7 +105,7 @@ def test_shadow_metrics_of_images_without_shadows_are_defined():
     assert math.isnan(ls.metrics.sae(something, nothing))
 
 
-def test_border_of_an_image_is_no_shadow_boundary():
+def test_boundary_f_does_not_count_the_image_border_as_a_shadow_boundary():
     """A shadow that fills the image has no boundary; a shadow cut by the border has one inside only."""
     full = np.ones((8, 8))
     assert ls.metrics.boundary_f(full, full) == 1.0
@@ -134,7 +134,7 @@ def test_shadow_metrics_ignore_shadows_outside_the_region():
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_shadow_metrics_are_equal_for_mirrored_images_and_bytes(metric):
+def test_shadow_metrics_do_not_change_if_both_images_are_mirrored_or_8_bit(metric):
     """Both images are mirrored, or given as bytes."""
     random = np.random.default_rng(1)
     shadow, reference = random.integers(0, 256, (2, 12, 17)).astype(np.uint8)

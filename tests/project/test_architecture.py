@@ -340,7 +340,7 @@ def test_every_setting_has_a_docstring_below_its_name() -> None:
                     assert documented, f"{node.name}.{ast.unparse(field.target)} has no docstring"
 
 
-def test_readers_of_imports_and_calls_find_those_inside_functions_and_blocks(tmp_path: Path) -> None:
+def test_readers_of_source_code_find_imports_and_calls_inside_functions_and_blocks(tmp_path: Path) -> None:
     """Imports for type checkers are skipped by default."""
     path = tmp_path / "sample.py"
     path.write_text(
@@ -368,7 +368,7 @@ def test_readers_of_imports_and_calls_find_those_inside_functions_and_blocks(tmp
         ("scene/sample.py", '"""Module."""\ndef f():\n    pass\n', "sample.py: f"),
     ],
 )
-def test_broken_architecture_rules_name_the_offender(
+def test_each_broken_architecture_rule_is_reported_with_the_offending_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, source: str, offence: str
 ) -> None:
     """Rules on imports, launches, device code and docstrings are each broken once."""

@@ -47,7 +47,7 @@ def test_benchmarks_refuse_missing_devices_in_one_line(capsys: pytest.CaptureFix
     assert timing.parser("run", None).parse_args(["--device", "cpu"]).device == "cpu"
 
 
-def test_benchmarks_time_the_stages_of_gpu_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_benchmarks_measure_stage_times_in_a_synchronised_gpu_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stage times come from a synchronised frame, the frame time from a second frame."""
     monkeypatch.setattr(ls, "create_renderer", renderer_as_on_a_gpu)
     case = raster_scenes.cases()[3]
@@ -58,7 +58,7 @@ def test_benchmarks_time_the_stages_of_gpu_frames(monkeypatch: pytest.MonkeyPatc
     assert timed.wall_ms > 0.0
 
 
-def test_bench_command_lists_gpu_stage_times(
+def test_bench_command_prints_times_of_the_stages_of_gpu_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The command is ``lumisplat bench``."""
@@ -93,7 +93,7 @@ def test_every_benchmark_row_has_a_machine_a_date_and_a_command(path: Path) -> N
             assert re.fullmatch(r"20\d\d-\d\d-\d\d", date), row
 
 
-def test_tables_that_benchmarks_write_are_on_the_benchmark_pages() -> None:
+def test_each_table_that_a_benchmark_writes_has_its_place_on_a_benchmark_page() -> None:
     """Each region between comments holds one table of the page's form."""
     assert page.regions(page.CPU_PAGE).keys() == {"raster", "trace", "paths", "light", "start"}
     assert page.regions(page.GPU_PAGE).keys() == {"gsplat"}
@@ -113,7 +113,7 @@ def raster_rows(*, with_peer: bool) -> list[dict]:
     ]
 
 
-def test_bench_run_writes_only_the_tables_of_complete_groups(tmp_path: Path) -> None:
+def test_benchmark_run_replaces_only_tables_whose_rows_are_all_measured(tmp_path: Path) -> None:
     """A group that did not run, or ran without the program that it is compared with, keeps the page's table."""
     copy = Path(shutil.copy(page.CPU_PAGE, tmp_path / "benchmarks.md"))
     before = page.regions(copy)
@@ -143,7 +143,7 @@ def test_writing_to_a_benchmark_page_without_the_tables_marker_is_refused(tmp_pa
         page.write_region(tmp_path / "page.md", "raster", [])
 
 
-def test_first_light_table_compares_gsplat_and_lumisplat_on_the_device() -> None:
+def test_first_light_benchmark_has_table_rows_of_gsplat_and_lumisplat() -> None:
     """Frames take all stages of Lumisplat, gradients those of the backward pass."""
     frames = [Finding("10: gsplat on the device, ms", 2.0), Finding("10: our stages but sync and download, ms", 1.0)]
     stages = {"composite": 9.0, "backward: pixels": 1.5, "backward: Gaussians": 0.5}

@@ -14,7 +14,7 @@ from bench.first_light.worker import Setting
 NAMES = ("raises", "dies", "hangs", "finds", "skips", "passes")
 
 
-def test_first_light_continues_after_failing_steps(tmp_path: Path) -> None:
+def test_first_light_benchmark_continues_after_a_step_fails_crashes_or_hangs(tmp_path: Path) -> None:
     """An error, a crash or a hang loses only later results of the same step."""
     steps = [Step(name, f"support.failing_steps:{name}", 4.0 if name == "hangs" else 60.0) for name in NAMES]
     rows = run_steps(steps, Setting("cpu", [10], 32), tmp_path, 200.0)
@@ -30,14 +30,14 @@ def test_first_light_continues_after_failing_steps(tmp_path: Path) -> None:
     assert "| hangs | timed out |" in text and "- **wrong** a pixel: [1.0, 2.0]" in text
 
 
-def test_first_light_skips_steps_that_exceed_the_time_budget(tmp_path: Path) -> None:
+def test_first_light_benchmark_skips_steps_that_exceed_the_time_budget(tmp_path: Path) -> None:
     """The step needs 60 s, but the budget is 1 s."""
     steps = [Step("late", "support.failing_steps:passes", 60.0)]
     (row,) = run_steps(steps, Setting("cpu", [10], 32), tmp_path, 1.0)
     assert (row.status, row.problem) == ("skipped", "no time")
 
 
-def test_first_light_runs_on_a_cpu_with_the_steps_of_a_gpu(tmp_path: Path) -> None:
+def test_first_light_benchmark_runs_the_same_steps_on_a_cpu_as_on_a_gpu(tmp_path: Path) -> None:
     """The run rehearses the command on a machine without a GPU."""
     command = [sys.executable, "-m", "bench.first_light", "--device", "cpu", "--out", str(tmp_path), "--every", "16"]
     done = subprocess.run(
@@ -57,7 +57,7 @@ def test_first_light_runs_on_a_cpu_with_the_steps_of_a_gpu(tmp_path: Path) -> No
     ]
 
 
-def test_first_light_checks_correctness_before_it_measures_times() -> None:
+def test_first_light_benchmark_checks_correctness_before_it_measures_times() -> None:
     """All steps are existing functions."""
     import importlib
 

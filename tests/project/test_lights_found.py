@@ -28,7 +28,7 @@ def searched(monkeypatch: pytest.MonkeyPatch, light_positions: list[tuple[float,
     )
 
 
-def test_estimated_lights_count_as_correct_only_near_a_true_light(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_benchmark_counts_an_estimate_as_correct_only_near_a_true_light(monkeypatch: pytest.MonkeyPatch) -> None:
     """The limit is 0.4 m in the capture's own unit; a true light with two estimates counts as found once."""
     row = searched(monkeypatch, [(0.3, 2.0, 0.0), (0.0, 0.0, 3.0), (9.0, 0.0, 0.0)], 1.0)
     assert (row["lamps"], row["lamps_found"], row["lights"], row["lights_right"]) == (3, 1, 2, 1)
@@ -37,14 +37,14 @@ def test_estimated_lights_count_as_correct_only_near_a_true_light(monkeypatch: p
     assert (both["lamps_found"], both["lights_right"]) == (1, 2)
 
 
-def test_table_of_estimated_lights_sums_captures_of_one_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_benchmark_table_adds_up_counts_of_captures_of_the_same_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     """Counts are summed; sun errors give the median and the maximum."""
     rows = [searched(monkeypatch, [(0.3, 2.0, 0.0)], 1.0) for _ in range(2)]
     assert rows[0]["degrees_off"] == pytest.approx(30.0, abs=0.1)
     assert lights_found.table(rows)[2:] == ["| room | 2 | 2 | 2 | 4 | 2 | 2 | 2 | 30.0 (at most 30.0) |"]
 
 
-def test_failed_light_estimates_count_as_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_benchmark_counts_a_failed_estimate_as_no_light_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """An error gives no light, and None gives no sun."""
 
     def nothing(*_: object) -> None:

@@ -53,7 +53,7 @@ def test_every_public_name_exists_with_a_docstring(module: str, name: str) -> No
         assert value.__name__ == name
 
 
-def test_public_name_in_several_modules_is_the_same_object() -> None:
+def test_public_name_exported_by_several_modules_is_the_same_object_in_each() -> None:
     """Top-level names and names of submodules are compared."""
     values: dict[str, object] = {}
     for module, name in PUBLIC:
@@ -77,7 +77,7 @@ def test_star_import_gives_exactly_the_public_names() -> None:
     assert set(names) - {"__builtins__"} == set(ls.__all__)
 
 
-def test_unknown_attribute_of_lumisplat_is_refused_by_name() -> None:
+def test_attribute_error_for_a_misspelt_name_of_lumisplat_contains_it() -> None:
     """A typo raises an AttributeError."""
     with pytest.raises(AttributeError, match="no attribute 'rendre'"):
         _ = cast(Any, ls).rendre

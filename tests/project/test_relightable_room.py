@@ -88,7 +88,9 @@ def test_lights_of_the_relightable_room_survive_saving_and_loading(tool: ModuleT
 
 
 @pytest.mark.deep
-def test_images_of_the_relightable_room_match_the_path_tracer(tool: ModuleType, made: Path, ball: Path) -> None:
+def test_mitsubas_images_of_the_relightable_room_match_lumisplats_path_tracer(
+    tool: ModuleType, made: Path, ball: Path
+) -> None:
     """More than 34 dB in views without a visible light, less than 30 dB with 0.7 of the light; albedo matches, too."""
     room = tool.room_of([ball, ball])
     matt: list[ls.MeshInstance] = []

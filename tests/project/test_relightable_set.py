@@ -100,7 +100,7 @@ def layer(folder: Path, name: str, index: int, channels: str) -> tuple[np.ndarra
     return np.stack([stored[channel] for channel in channels], axis=-1), stored["A"] > 0.999
 
 
-def test_relightable_set_holds_out_views_between_training_views(tool: ModuleType, balls: Path) -> None:
+def test_relightable_data_set_holds_out_test_views_between_training_views(tool: ModuleType, balls: Path) -> None:
     """The requested number is held out, none at the ends; all cameras are at one distance and see the whole object."""
     scene = tool.scene_of(balls)
     views = tool.views_around(scene, SIZE, 12, 4)
@@ -111,7 +111,7 @@ def test_relightable_set_holds_out_views_between_training_views(tool: ModuleType
     np.testing.assert_allclose(away, away[0])
 
 
-def test_large_panoramas_are_downscaled_by_block_means(tool: ModuleType) -> None:
+def test_large_panoramas_of_relightable_data_sets_are_downscaled_by_means_of_blocks(tool: ModuleType) -> None:
     """Small panoramas are unchanged."""
     image = np.random.default_rng(0).random((600, 1200, 3))
     smaller = tool.reduced(image)
@@ -122,7 +122,9 @@ def test_large_panoramas_are_downscaled_by_block_means(tool: ModuleType) -> None
 
 @pytest.mark.deep
 @pytest.mark.parametrize("environment", LIT_IN)
-def test_images_of_the_relightable_set_match_the_path_tracer(tool, made, balls, environment: str) -> None:
+def test_mitsubas_images_of_the_relightable_data_set_match_lumisplats_path_tracer(
+    tool, made, balls, environment: str
+) -> None:
     """More than 38 dB, which checks light axes, exposure, bounces and encoding; less than 30 dB rotated or mirrored."""
     folder = made(balls)
     insides = [layer(folder, "albedo", index, "RGB")[1] for index in range(2)]
@@ -138,7 +140,7 @@ def test_images_of_the_relightable_set_match_the_path_tracer(tool, made, balls, 
 
 
 @pytest.mark.deep
-def test_layers_of_the_relightable_set_match_its_mesh(tool, made, balls) -> None:
+def test_material_layers_of_the_relightable_data_set_match_its_mesh(tool, made, balls) -> None:
     """Layers are base colour, world normals and coverage."""
     folder = made(balls)
     for index, frame in enumerate(seen(tool, folder, balls, None)):
@@ -157,7 +159,7 @@ def test_layers_of_the_relightable_set_match_its_mesh(tool, made, balls) -> None
 
 
 @pytest.mark.deep
-def test_roughness_of_the_relightable_set_is_interpolated(tool, made, balls) -> None:
+def test_roughness_in_the_relightable_data_set_is_interpolated_between_vertices(tool, made, balls) -> None:
     """Roughness varies over a triangle between its vertices; a glossy set has highlights."""
     folder, matt = made(balls, "--material", "varied"), made(balls)
     scene = tool.scene_of(balls)

@@ -43,7 +43,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return json.loads((out / "searchindex.js").read_text(encoding="utf-8").removeprefix("Search.setIndex(")[:-1])
 
 
-def test_site_search_for_a_word_of_another_program_finds_its_page_first(index: dict[str, Any]) -> None:
+def test_documentation_search_for_a_word_of_another_program_finds_its_page_first(index: dict[str, Any]) -> None:
     """Sphinx's search ranks index entries above titles and text, by the fraction of the entry that the query covers."""
     expected = {word.lower(): page for page, _, word in conf()["words_of_other_programs"]()}
     first: dict[str, set[str]] = {}
@@ -58,7 +58,7 @@ def test_site_search_for_a_word_of_another_program_finds_its_page_first(index: d
     assert first == {word: {expected[word.lower()]} for word in WORDS}
 
 
-def test_every_word_of_other_programs_leads_to_a_page_about_it() -> None:
+def test_every_word_of_another_program_in_the_search_index_leads_to_a_page_about_it() -> None:
     """Pages of rows exist, and at least one of the options, keys or functions of a row is on its page."""
     text = (DOCS / "guide" / "from_other_programs.md").read_text(encoding="utf-8")
     rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith(("| ---", "| there"))]

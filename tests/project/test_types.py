@@ -53,12 +53,12 @@ def _has(kind: type, name: str) -> bool:
 
 
 @pytest.mark.parametrize("path", STUBS, ids=lambda path: path.stem)
-def test_stubs_name_only_what_installed_packages_have(path: Path) -> None:
+def test_type_stubs_declare_only_names_that_the_installed_packages_have(path: Path) -> None:
     """Stubs are in ``typings``; names are constants, classes, attributes, methods and parameters."""
     assert unknown_names(path.read_text(), importlib.import_module(path.stem)) == []
 
 
-def test_wrong_stubs_are_reported_by_name() -> None:
+def test_check_of_type_stubs_lists_each_declared_name_that_is_missing() -> None:
     """A constant, a class, an attribute, a method and a parameter are missing."""
     stub = (
         "ONE: int\nclass Two: ...\nclass Node:\n    mesh: int\n    three: int\n    def to_json(self, four: int): ...\n"

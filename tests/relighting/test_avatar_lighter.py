@@ -67,7 +67,7 @@ def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
     return new / old
 
 
-def test_actor_darkens_a_captured_floor_only_in_its_shadow() -> None:
+def test_actor_makes_a_captured_floor_dark_inside_its_shadow_and_unchanged_outside() -> None:
     """A ball's shadow on the floor is a disc of radius 0.61: black inside, and unchanged outside."""
     ground = floor()
     scene = lighter(ls.Scene(splats=[ground])).light([puppet()])
@@ -88,7 +88,7 @@ def test_shadow_on_a_capture_follows_the_moving_actor() -> None:
     assert (left[ground.means[:, 0] < 0.0] == 1.0).all()
 
 
-def test_frames_of_an_actor_at_one_position_are_equal_to_the_bit() -> None:
+def test_frames_of_an_actor_that_returns_to_its_first_position_are_equal_to_the_bit() -> None:
     """The frame of an actor that moved away and back equals its first frame, including the relit colours."""
     stage = lighter(ls.Scene(splats=[floor()]), lights=[LIGHT, replace(LIGHT, position=(1.0, 2.0, 1.0))], relight=True)
     first = stage.light([puppet()])
@@ -98,14 +98,14 @@ def test_frames_of_an_actor_at_one_position_are_equal_to_the_bit() -> None:
         np.testing.assert_array_equal(one.gaussians.sh, other.gaussians.sh)
 
 
-def test_actor_shadow_removes_only_the_direct_fraction_of_the_light() -> None:
+def test_shadow_of_an_actor_removes_the_direct_fraction_of_the_light_and_no_more() -> None:
     """With a direct fraction of 0.6, the darkest Gaussian in shadow keeps 0.4 of its light."""
     ground = floor()
     left = light_left(ground, lighter(ls.Scene(splats=[ground]), direct=0.6).light([puppet()]).splats[0].gaussians)
     assert left.min() == pytest.approx(0.4, abs=0.02)
 
 
-def test_shadow_factor_is_the_mean_transmittance_of_all_lights() -> None:
+def test_shadow_of_actors_under_equal_lights_is_the_mean_of_the_lights_transmittances() -> None:
     """For two equal lights, the factor is the mean of their shadow maps' transmittances through all actors."""
     ground = floor()
     lights = [ls.LightDirectional((0.5, -1.0, 0.0)), ls.LightDirectional((-0.5, -1.0, 0.0))]
@@ -148,13 +148,13 @@ def test_shadow_maps_of_later_frames_reuse_the_memory_of_the_first(monkeypatch: 
     assert len(built) == 2 and [shadow.bytes for shadow in built] == held
 
 
-def test_frame_without_actors_has_the_captures_of_the_scene() -> None:
+def test_avatar_lighter_returns_the_scenes_own_capture_objects_without_actors() -> None:
     """The captures are the scene's own objects, without copies."""
     scene = ls.Scene(splats=[floor()])
     assert lighter(scene).light([]).splats[0] is scene.splats[0]
 
 
-def test_flags_disable_shadow_or_relighting_of_single_actors() -> None:
+def test_flags_of_an_actor_disable_its_shadow_or_its_relighting() -> None:
     """One actor casts no shadow and the other keeps its colours; both actors are in the frame."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]), relight=True)
@@ -200,7 +200,7 @@ def test_avatar_lighter_reuses_normals_and_probes_of_a_static_actor(monkeypatch:
     assert calls.count("normals") == 1 and calls.count("probe") == 2
 
 
-def test_mesh_actors_cast_shadows_on_captures_and_stay_meshes() -> None:
+def test_avatar_lighter_shadows_captures_by_mesh_actors_and_gives_lights_to_the_meshes() -> None:
     """The frame has lights for the mesh; pixels of captures equal those of an unlit frame."""
     ground = floor()
     pose = np.eye(4)
@@ -238,7 +238,7 @@ def test_captures_do_not_shadow_mesh_actors() -> None:
     assert enclosed == pytest.approx(open_air, rel=1e-3) and open_air > 0.05
 
 
-def test_given_lights_illuminate_mesh_actors_without_a_probe() -> None:
+def test_mesh_actors_get_given_lights_and_no_probe_if_an_environment_is_among_them() -> None:
     """The frame has all enabled lights; if they include an environment, no light from a probe is added."""
     lights = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
     stage = lighter(ls.Scene(splats=[floor()]), lights, relight=True)
@@ -248,7 +248,7 @@ def test_given_lights_illuminate_mesh_actors_without_a_probe() -> None:
     assert [light.intensity for light in frame.lights] == [9.0, 9.0, 1.0]
 
 
-def test_reflecting_captures_beside_mesh_actors_are_rendered_unlit() -> None:
+def test_captures_beside_mesh_actors_lose_their_materials_and_are_rendered_unlit() -> None:
     """The frame's lights are for meshes, so captures and Gaussian actors lose materials and ``shadow_catcher``."""
     sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_catcher=True)]
     actors = [ls.MeshInstance(icosphere(0.4)), replace(puppet(2.0), material=ls.MaterialPbr())]
@@ -258,7 +258,7 @@ def test_reflecting_captures_beside_mesh_actors_are_rendered_unlit() -> None:
     assert not alone.lights and alone.splats[0].material is not None and alone.splats[1].shadow_catcher
 
 
-def test_meshes_of_the_scene_cast_shadows_on_captures_without_actors() -> None:
+def test_meshes_of_a_scene_cast_shadows_on_its_captures_also_if_there_are_no_actors() -> None:
     """The capture was made without the meshes; their shadows are multiplied by the shadows of actors."""
     ground = floor()
     pose = np.eye(4)
@@ -271,7 +271,9 @@ def test_meshes_of_the_scene_cast_shadows_on_captures_without_actors() -> None:
     assert both[ground.means[:, 0] < 0.0].min() < 0.05
 
 
-def test_reflecting_captures_keep_the_scene_lights_and_ray_traced_shadows(caplog: pytest.LogCaptureFixture) -> None:
+def test_relit_captures_get_scene_lights_and_ray_traced_shadows_in_place_of_shadow_maps(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """Captures with a material and shadow catchers are shadowed by the renderer's rays, which a warning reports."""
     sets = [
         ls.SplatInstance(floor(), material=ls.MaterialPbr()),
@@ -290,7 +292,7 @@ def test_reflecting_captures_keep_the_scene_lights_and_ray_traced_shadows(caplog
     assert frame.splats[0] is sets[0] and frame.splats[1] is sets[1] and frame.splats[2] is not sets[2]
 
 
-def test_missing_lights_are_estimated_once_around_the_first_actors() -> None:
+def test_avatar_lighter_without_lights_estimates_them_once_around_the_first_actors() -> None:
     """A lamp in the capture becomes a light, with the direct fraction of the irradiance at the actor's position."""
     scene = ls.Scene(splats=[floor(), light_ball((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
     # The lamp does not light the floor: it is found by its score alone.
@@ -327,7 +329,7 @@ def test_light_inside_an_actor_is_logged_once_as_a_warning(caplog: pytest.LogCap
     assert caplog.text.count("is inside an actor") == 1 and "'torch'" in caplog.text
 
 
-def test_shadow_region_radius_is_measured_from_the_actors_of_each_frame() -> None:
+def test_shadow_region_follows_the_actors_from_frame_to_frame() -> None:
     """After the actor has moved, ``region_radius`` is measured from its new position."""
     ground = floor()
     slanted = ls.LightDirectional((1.0, -1.0, 0.0))
@@ -339,7 +341,7 @@ def test_shadow_region_radius_is_measured_from_the_actors_of_each_frame() -> Non
     assert (left[ground.means[:, 0] > 0.5 + 0.4 + 0.8] == 1.0).all()
 
 
-def test_shadow_region_without_receivers_is_logged_once_as_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_actors_too_far_from_any_capture_to_cast_shadows_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     """The capture stays the same object, without any shadow."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]), shadow_map=replace(SHADOW, region_radius=0.5))
@@ -379,13 +381,13 @@ def test_avatar_lighter_refuses_invalid_scenes_lights_and_actors(
         lighter(scene, lights).light(actors)
 
 
-def test_avatar_lighter_refuses_actor_flags_of_another_count() -> None:
+def test_avatar_lighter_refuses_a_list_of_flags_unless_it_has_one_flag_per_actor() -> None:
     """Flags must be a list with one boolean per actor."""
     with pytest.raises(ls.SceneError, match="relit has 2 entries, expected 1"):
         lighter(ls.Scene(splats=[floor()])).light([puppet()], relit=[True, False])
 
 
-def test_lights_of_an_unlit_scene_act_like_given_lights_on_actors() -> None:
+def test_lights_of_a_scene_without_materials_light_actors_like_given_lights() -> None:
     """No capture reflects the scene's lights, so they light actors like given lights; captures do not block them."""
     environment = ls.LightEnvironment(intensity=0.5, name="sky")
     bare, ball = [ls.SplatInstance(floor())], ls.MeshInstance(icosphere(0.4))
@@ -431,7 +433,7 @@ def test_dark_relit_actors_are_logged_once_with_a_gamma_as_advice(caplog: pytest
         assert (advice in caplog.text) == bool(warnings)
 
 
-def test_light_that_hardly_reaches_the_capture_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_light_that_actors_hide_from_the_whole_capture_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     """A light in a hollow actor is inside no Gaussian, but the whole capture is in shadow."""
     stage = lighter(ls.Scene(splats=[floor()]), [replace(LIGHT, position=(0.0, 1.0, 0.0), name="torch")])
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
@@ -453,7 +455,7 @@ def ball_in(scene: ls.Scene, lights: list[Light], **changes: object) -> np.ndarr
     return light_left(actor.gaussians, white.light([actor]).splats[-1].gaussians)
 
 
-def test_given_sun_adds_its_irradiance_to_relit_actors() -> None:
+def test_directional_light_adds_its_irradiance_to_relit_actors_unless_disabled() -> None:
     """A sun of irradiance pi / 2 adds half the cosine; local lights, or suns without ``sun_on_actors``, add nothing."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     sun = sunny((0.0, -1.0, 0.0))
@@ -482,7 +484,7 @@ def test_sun_blocked_by_the_scene_does_not_light_actors(caplog: pytest.LogCaptur
     assert (ball_in(ls.Scene(splats=[roof]), [slanted]) - without).max() > 0.4
 
 
-def test_sun_irradiance_already_in_the_probe_is_subtracted() -> None:
+def test_irradiance_of_the_sun_that_the_probe_already_contains_is_added_only_once() -> None:
     """The probe's irradiance from the sun's direction beyond its mean is subtracted from the sun, down to 0."""
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -495,7 +497,7 @@ def test_sun_irradiance_already_in_the_probe_is_subtracted() -> None:
     np.testing.assert_allclose(sun_beyond(probe, sunny((0, 1, 0), 1.0)), 1.0)
 
 
-def test_estimated_sun_casts_actor_shadows_where_no_lights_are_found(caplog: pytest.LogCaptureFixture) -> None:
+def test_actors_cast_shadows_of_an_estimated_sun_if_no_local_light_is_found(caplog: pytest.LogCaptureFixture) -> None:
     """The estimated sun is within 10 degrees of the true one, and a warning reports that no local light was found."""
     towards = np.array([0.5, 0.7, 0.4])
     scene = ls.Scene(splats=[meadow((0.5, 0.7, 0.4))])
@@ -517,7 +519,7 @@ def points_of_sphere(center: tuple[float, float, float], radius: float) -> tuple
     return center + radius * normals, normals
 
 
-def test_relighting_reduces_the_metrics_paa_apf_and_ncm_by_a_fifth() -> None:
+def test_relighting_an_actor_lowers_its_light_metrics_by_at_least_a_fifth() -> None:
     """A figure lit bluish from the side is relit among diffuse balls below a reddish ceiling."""
     reddish, steps = np.array([1.0, 0.8, 0.6]), np.linspace(-8.0, 8.0, 33)
     ceiling = np.stack(np.meshgrid(steps, [2.5], steps, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -61,7 +61,7 @@ def test_capture_gain_on_rough_metal_is_equal_in_hybrid_and_path() -> None:
     np.testing.assert_allclose(found[ls.Pipeline.HYBRID, 0.0], found[ls.Pipeline.PATH, 0.0], rtol=0.05)
 
 
-def test_estimated_capture_gain_exposes_an_object_like_the_capture_around() -> None:
+def test_estimated_capture_gain_makes_an_object_as_bright_as_the_capture_around_it() -> None:
     """The gain is one stop inside a captured sphere, and two stops inside half a sphere."""
     inner_ball = ball(0.3, diffuse(0.5), rows=16)
     assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)], [inner_ball]), device="cpu") == pytest.approx(

@@ -27,7 +27,7 @@ def linear(gaussians: ls.Gaussians) -> npt.NDArray[np.floating]:
     return decode_srgb(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5)
 
 
-def test_shadow_of_one_light_multiplies_colors_by_transmittance() -> None:
+def test_shadow_of_a_single_light_multiplies_captured_colours_by_its_transmittance() -> None:
     """A transmittance of 1 leaves the SH coefficients identical."""
     transmittance = np.array([0.0, 0.25, 0.5, 1.0])
     lit = receivers(np.eye(4)[:, :3])
@@ -46,7 +46,7 @@ def test_shadows_of_several_lights_are_weighted_by_irradiance_per_channel() -> N
     np.testing.assert_allclose(dark, 1.0 - 0.5 * np.array([0.2 * 0.5 + 0.8 * 0.9, 0.9, 0.9]), atol=1e-5)
 
 
-def test_shadows_do_not_change_colors_that_no_light_reaches() -> None:
+def test_shadows_do_not_change_captured_colours_that_no_light_reaches() -> None:
     """Gaussians outside a spot's cone, and channels without light, keep their bits."""
     spot = ls.LightSpot((0, 0, 0), (0, 0, 1), color=(1, 1, 0), intensity=3.0)
     lit = receivers([(0, 0, -1), (0, 0, 1)])
@@ -56,7 +56,7 @@ def test_shadows_do_not_change_colors_that_no_light_reaches() -> None:
     assert linear(dark)[1, :2].max() < 1e-5
 
 
-def test_shadow_weights_of_lights_follow_the_instance_transform() -> None:
+def test_irradiance_that_weights_shadows_is_computed_at_transformed_positions() -> None:
     """Irradiances are computed at world positions; the instance keeps everything but its colours."""
     pose = np.diag([2.0, 2.0, 2.0, 1.0])
     pose[0, 3] = 1.0
@@ -114,7 +114,7 @@ def test_irradiance_of_each_light_type_equals_its_definition(light: ls.LightPoin
         ({"direct": 1.5}, ls.ConfigError, "direct is 1.5"),
     ],
 )
-def test_shadowed_refuses_invalid_arguments_naming_them(
+def test_error_for_an_invalid_argument_of_shadowed_names_the_argument(
     change: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     """The error names the argument and what was expected."""
@@ -127,7 +127,7 @@ def test_shadowed_refuses_invalid_arguments_naming_them(
         ls.avatars.shadowed(**arguments)
 
 
-def test_shadows_far_from_the_origin_equal_those_at_the_origin() -> None:
+def test_shadow_on_a_capture_in_map_coordinates_equals_that_near_the_origin() -> None:
     """A ball casts the same shadow on a floor at 5e6, where float32 numbers are 0.5 apart."""
     rng = np.random.default_rng(6)
     floor = np.column_stack([rng.uniform(-1.0, 1.0, (300, 2)), np.zeros(300)])

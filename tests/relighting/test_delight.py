@@ -66,7 +66,7 @@ def test_solid_angles_of_environment_cells_sum_to_4_pi() -> None:
     assert not len(cells.of(np.empty(0, int)).neighbours)
 
 
-def test_delight_takes_a_room_with_half_opaque_walls_for_a_room() -> None:
+def test_delight_recognises_a_room_whose_walls_let_half_of_the_rays_through() -> None:
     """Walls of trained captures let rays through; without walls, or with walls as faint as haze, there is no room."""
     assert is_room(0.5) and is_room(1.0)
     assert not is_room(0.0) and not is_room(0.3)
@@ -82,7 +82,7 @@ def is_room(opacity: float) -> bool:
     return rays.facing(ls.estimate_normals(capture).astype(np.float64), near, None, has_normals=False)[1]
 
 
-def test_normal_side_decided_by_one_gaussian_spreads_over_its_plane_only() -> None:
+def test_normal_side_known_for_one_gaussian_spreads_over_its_plane_and_no_further() -> None:
     """One vote settles the side of a floor, another that of an adjoining wall; a weaker wrong vote changes nothing."""
     floor = np.stack([*np.meshgrid(np.arange(20.0), np.arange(20.0)), np.zeros((20, 20))], axis=-1).reshape(-1, 3)
     wall = floor[:, [2, 1, 0]] + (-0.5, 0.0, 0.5)
@@ -99,7 +99,7 @@ def test_normal_side_decided_by_one_gaussian_spreads_over_its_plane_only() -> No
     assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
 
 
-def test_delighted_normals_of_an_isolated_sheet_face_one_side() -> None:
+def test_delight_gives_all_normals_of_a_free_standing_sheet_the_same_side() -> None:
     """Both sides of the sheet are open, and a third of the Gaussians' axes point the other way."""
     sheet = ls.gaussians_from_mesh(ls.plane(2.0), 120)
     half_rotation = np.array((0.0, 1.0, 0.0, 0.0), np.float32)  # about an axis within the sheet
@@ -110,7 +110,7 @@ def test_delighted_normals_of_an_isolated_sheet_face_one_side() -> None:
     assert normals is not None and len(np.unique(np.sign(normals[:, 1]))) == 1
 
 
-def test_surface_points_have_the_mean_and_spread_of_their_gaussian() -> None:
+def test_points_that_delight_samples_on_a_gaussian_lie_in_its_plane_around_its_mean() -> None:
     """Points scatter by half the Gaussian's scales in its plane, and not at all along the normal."""
     rotation = np.array((0.8, 0.0, 0.6, 0.0))
     one = ls.Gaussians(
@@ -124,7 +124,9 @@ def test_surface_points_have_the_mean_and_spread_of_their_gaussian() -> None:
     assert np.allclose(points.std(axis=0), (0.25, 0.15, 0.0), atol=0.005)
 
 
-def test_irradiance_matches_a_constant_environment_and_a_white_furnace(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_irradiance_in_delight_is_exact_in_a_constant_environment_and_inside_a_ball(
+    ball: tuple[ls.Gaussians, np.ndarray],
+) -> None:
     """An environment of radiance 1 gives irradiance pi; inside a ball of one colour, irradiance has that colour."""
     plain, _ = ball
     outward = np.asarray(plain.normals, np.float64)
@@ -141,7 +143,7 @@ def test_irradiance_matches_a_constant_environment_and_a_white_furnace(ball: tup
     assert np.allclose(lit, inside.observed + inside.environment.sum(axis=1, keepdims=True), atol=1e-5)
 
 
-def test_irradiance_of_a_captured_emitter_follows_area_and_distance() -> None:
+def test_irradiance_of_a_captured_emitter_follows_the_inverse_square_and_cosine_laws() -> None:
     """The irradiance of a floor below a small emitter is proportional to both cosines over the squared distance."""
     emitter = ls.transform(ls.gaussians_from_mesh(ls.plane(0.2), 60), _lifted(2.0))
     floor = ls.gaussians_from_mesh(ls.plane(2.0), 200)
@@ -164,7 +166,7 @@ def _lifted(height: float) -> np.ndarray:
     return matrix
 
 
-def test_light_is_recovered_from_pairs_of_similar_albedo() -> None:
+def test_delight_recovers_light_from_pairs_of_gaussians_with_similar_albedo() -> None:
     """Surfaces of two albedos determine the emitter relative to the environment to 10 %, and the albedo to 2 %."""
     cells = EnvironmentCells.even(4)
     environment = RNG.random((900, 16)) * cells.solid_angles
@@ -239,7 +241,9 @@ def test_relighting_by_the_estimated_light_reproduces_the_capture() -> None:
     assert errors[False] < 0.08 and errors[True] > 0.25
 
 
-def test_gaussian_darker_in_a_channel_than_its_specular_part_is_flagged(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_flags_gaussians_darker_than_their_specular_reflection_in_any_channel(
+    ball: tuple[ls.Gaussians, np.ndarray],
+) -> None:
     """One dark channel suffices, because relighting would make the colour paler; with ``matt``, none is flagged."""
     captured = colored(ball[0], np.tile((0.6, 0.3, 0.004), (ball[0].count, 1)))
     found, matt = (
@@ -274,7 +278,9 @@ def test_delight_keeps_given_normals_to_the_bit(ball: tuple[ls.Gaussians, np.nda
     assert np.array_equal(np.asarray(found.normals), inwards)
 
 
-def test_delight_gives_equal_bits_for_equal_seeds_on_any_threads(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_gives_equal_bits_for_equal_seeds_and_any_number_of_threads(
+    ball: tuple[ls.Gaussians, np.ndarray],
+) -> None:
     """One and two threads give equal albedo; another seed changes it slightly."""
     captured = colored(ball[0], ball[1])
     config = ls.DelightConfig(cells=4)
@@ -285,7 +291,9 @@ def test_delight_gives_equal_bits_for_equal_seeds_on_any_threads(ball: tuple[ls.
     assert 0.0 < np.abs(other - one).max() < 0.2
 
 
-def test_neighbour_smoothing_keeps_constants_and_reduces_noise(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_smoothing_over_neighbouring_gaussians_keeps_constants_and_reduces_noise(
+    ball: tuple[ls.Gaussians, np.ndarray],
+) -> None:
     """Noise shrinks by about the square root of the number of neighbours."""
     plain, _ = ball
     near = neighbours_of(plain)
@@ -303,7 +311,7 @@ def test_gaussians_without_light_take_the_albedo_of_their_neighbours() -> None:
     assert np.allclose(steps.filled(albedo, light, near), 0.5, atol=1e-4)
 
 
-def test_delight_refuses_captures_without_estimable_materials(
+def test_delight_refuses_captures_without_a_surface_or_all_black_or_all_white(
     ball: tuple[ls.Gaussians, np.ndarray], caplog: pytest.LogCaptureFixture
 ) -> None:
     """Captures without a surface, all white or all black, and other types are refused; a replaced albedo is logged."""
@@ -362,7 +370,7 @@ def is_refused(gaussians: ls.Gaussians, renderer: ls.Renderer, seed: int) -> boo
     return measure_surface(gaussians, renderer, seed).has_no_surface
 
 
-def test_opaque_or_flat_gaussians_do_not_count_as_haze(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_takes_no_opaque_or_flat_gaussians_for_haze(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Isotropic Gaussians on a surface, a ball densely filled with them, and flat Gaussians are accepted."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     plain, _ = ball
@@ -376,7 +384,7 @@ def test_opaque_or_flat_gaussians_do_not_count_as_haze(ball: tuple[ls.Gaussians,
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
-def test_captures_of_other_programs_do_not_count_as_haze(data_dir: Path, name: str) -> None:
+def test_delight_accepts_downloaded_captures_even_with_isotropic_gaussians(data_dir: Path, name: str) -> None:
     """The captures are accepted, even with all Gaussians made isotropic."""
     capture = ls.load(data_dir / "splats" / name)
     assert isinstance(capture, ls.Gaussians)
@@ -396,7 +404,7 @@ def test_captures_of_other_programs_do_not_count_as_haze(data_dir: Path, name: s
     ],
     ids=["dense haze", "dense haze of many Gaussians", "flat Gaussians", "thin haze of flat Gaussians", "thick wall"],
 )
-def test_capture_with_an_unclear_surface_is_reported_with_advice(
+def test_delight_logs_that_a_capture_has_no_clear_surface_and_gives_advice(
     capture: ls.Gaussians, fault: str, caplog: Any
 ) -> None:
     """`surface_remark` returns the fault, and `delight` logs the same line before its work."""
@@ -413,7 +421,7 @@ def test_capture_with_an_unclear_surface_is_reported_with_advice(
     assert [record.message for record in caplog.records] == [remark] and stop == ["delighting, finding sides"]
 
 
-def test_expected_cost_of_light_fits_in_rays_follows_the_measured_pace_of_rays() -> None:
+def test_progress_of_delight_counts_light_fits_in_rays_at_the_measured_pace_of_rays() -> None:
     """Fits take as many seconds whether rays are fast or slow."""
     config = ls.DelightConfig(cells=4)
     slow, fast = (_costs(1000, config, inside=True, shines=True, rays_per_s=pace) for pace in (1e4, 1e5))
@@ -447,7 +455,7 @@ def test_delight_fits_the_light_with_one_blas_thread(ball: tuple[ls.Gaussians, n
 
 
 @pytest.mark.parametrize("count", [64, 300, 3000])
-def test_gaussians_sampled_on_meshes_get_no_surface_remark(count: int) -> None:
+def test_surface_remark_finds_no_fault_in_gaussians_sampled_on_meshes(count: int) -> None:
     """The cases are few and many Gaussians, solids and thin sheets, with and without normals."""
     for mesh in (box(2.0), sphere(1.0, rows=12), plane(3.0, 2.0)):
         gaussians = ls.gaussians_from_mesh(mesh, count)
@@ -456,7 +464,7 @@ def test_gaussians_sampled_on_meshes_get_no_surface_remark(count: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
-def test_captures_of_other_programs_get_no_surface_remark(data_dir: Path, name: str) -> None:
+def test_surface_remark_finds_no_fault_in_downloaded_captures(data_dir: Path, name: str) -> None:
     """`surface_remark` returns None."""
     assert (
         ls.inverse.surface_remark(expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name)), device="cpu") is None
@@ -492,14 +500,14 @@ ALONE, GROUND, WALL = sphere(0.5), plane(6.0, 6.0), walls()[0]
     ],
     ids=["furnished room", "room without a side", "corner", "object", "object on the ground", "before a wall"],
 )
-def test_delight_takes_only_closed_captures_for_rooms(meshes: list[ls.Mesh], inside: bool) -> None:
+def test_delight_treats_a_capture_as_a_room_only_if_it_is_closed(meshes: list[ls.Mesh], inside: bool) -> None:
     """A remark reports the decision, and how light from outside the capture was treated."""
     found = ls.inverse.estimate_materials(scene_of(*meshes), ls.DelightConfig(cells=4), device="cpu")
     assert found.is_inside is inside
     assert found.remarks[0].startswith("taken for a closed room" if inside else "taken for an open scene")
 
 
-def test_material_remarks_count_impossible_albedos_and_unexplained_colors(
+def test_remarks_of_delight_count_impossible_albedos_and_unexplained_colours(
     ball: tuple[ls.Gaussians, np.ndarray],
 ) -> None:
     """Each remark reports the fraction of the Gaussians that is affected."""

@@ -47,7 +47,7 @@ def lobes() -> Lobes:
     return Lobes.of(3)
 
 
-def test_tabulated_bsdf_lobes_match_the_float64_equations(lobes: Lobes) -> None:
+def test_tables_of_bsdf_lobes_for_delight_match_the_float64_equations(lobes: Lobes) -> None:
     """Entries of both lobes are cosine-weighted means over the directions of a bin, for each roughness."""
     samples = bin_samples()
     spread = SPREAD_SHARE**2 * 2.0 * np.pi / (samples.shape[0] * samples.shape[1])
@@ -63,7 +63,7 @@ def test_tabulated_bsdf_lobes_match_the_float64_equations(lobes: Lobes) -> None:
             assert np.allclose(table[number, ::5][:, rows], expected, rtol=2e-4, atol=2e-5)
 
 
-def test_every_direction_sample_is_found_in_its_bin_of_the_hemisphere() -> None:
+def test_direction_sampled_in_a_bin_of_the_hemisphere_is_assigned_to_that_bin() -> None:
     """The frames are rotations that take z to the normals, and `bins_of` finds each sample in its bin."""
     normals = even_directions(50)
     frames = frames_of(normals)
@@ -75,7 +75,7 @@ def test_every_direction_sample_is_found_in_its_bin_of_the_hemisphere() -> None:
     assert np.array_equal(bins_of(samples.reshape(-1, 3)), numbers)
 
 
-def test_sh_projection_keeps_low_degrees_and_removes_high_ones(lobes: Lobes) -> None:
+def test_sh_projection_of_views_keeps_low_degrees_and_removes_high_ones(lobes: Lobes) -> None:
     """Degree 1 is kept except for the shrinkage by the ridge, high degrees are removed, and degree 0 keeps the mean."""
     low = sh_basis(lobes.views, 1)[:, 1:]
     assert np.abs(sh_projection(lobes.views, 3) @ low - low).max() < 0.02
@@ -84,7 +84,7 @@ def test_sh_projection_keeps_low_degrees_and_removes_high_ones(lobes: Lobes) -> 
     assert np.allclose(sh_projection(lobes.views, 0), 1.0 / len(lobes.views))
 
 
-def test_irradiance_of_each_cell_is_in_the_bin_of_its_direction() -> None:
+def test_irradiance_from_each_environment_cell_is_in_the_bin_of_its_direction() -> None:
     """Irradiance from environment and capture is binned by direction, and the bins sum to the total."""
     normals = even_directions(9)
     cells = EnvironmentCells.even(4)
@@ -194,7 +194,7 @@ def test_roughness_is_recovered_from_sh_highlights_to_0_05(roughness: float) -> 
 
 
 @pytest.mark.parametrize(("roughness", "turns", "near", "flat"), [(0.5, 0.15, 0.03, 0.06), (0.6, 0.2, 0.1, 0.11)])
-def test_roughness_fit_does_not_mistake_curvature_for_roughness(
+def test_roughness_fit_to_sh_highlights_allows_for_the_curvature_of_the_surface(
     roughness: float, turns: float, near: float, flat: float
 ) -> None:
     """Roughness on a ball is recovered; if the same colours are taken for a flat surface, the fit is rougher."""
@@ -203,7 +203,7 @@ def test_roughness_fit_does_not_mistake_curvature_for_roughness(
     assert np.median(fitted_roughness(*case).value) > roughness + flat
 
 
-def test_normal_variance_is_the_square_of_curvature_times_scale() -> None:
+def test_estimated_variance_of_normals_is_the_square_of_curvature_times_scale() -> None:
     """The law holds on a ball; on a plane, and for Gaussians without neighbours, the variance is 0."""
     ball = ls.gaussians_from_mesh(ls.sphere(2.0), 800)
     normals = np.asarray(ball.normals, np.float64)
@@ -216,7 +216,7 @@ def test_normal_variance_is_the_square_of_curvature_times_scale() -> None:
     assert normal_variances(ball, normals, alone).max() < 1e-12
 
 
-def test_lobes_are_widened_by_the_normal_variance() -> None:
+def test_bsdf_lobes_on_a_curved_surface_are_widened_by_the_variance_of_its_normals() -> None:
     """Weights over the roughness grid sum to 1, variance 0 keeps the roughness, and variances of slopes add."""
     grid = np.array(ROUGHNESS_GRID)
     variances = np.array((0.0, 0.005, 0.05))

@@ -46,7 +46,7 @@ def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray)
     return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, EnvironmentCells.even(8))
 
 
-def test_radiance_of_a_captured_emitter_is_not_counted_twice() -> None:
+def test_observed_irradiance_in_delight_excludes_gaussians_that_count_as_emitters() -> None:
     """Observed irradiance includes the light of a white square only if the square does not count as an emitter."""
     both, normals = emitter_over_floor()
     groups = emitters_of(both, is_white(both, normals))
@@ -82,7 +82,7 @@ def test_transparent_white_gaussians_do_not_count_as_emitters() -> None:
     assert (emitters_of(clear, is_white(clear, normals)) == -1).all()
 
 
-def test_refined_environment_cells_locate_the_sun_to_10_degrees() -> None:
+def test_delight_divides_bright_environment_cells_and_locates_the_sun_to_10_degrees() -> None:
     """The brightest cells are divided; a ball in the sun loses its shading."""
     plain = ls.gaussians_from_mesh(ls.sphere(1.0), 400)
     albedo = np.where(np.sin(6.0 * plain.means[:, 1]) > 0.0, 0.8, 0.4)
@@ -96,7 +96,7 @@ def test_refined_environment_cells_locate_the_sun_to_10_degrees() -> None:
     assert np.log(np.asarray(found.gaussians.albedo).mean(axis=1) / albedo).std() < 0.1
 
 
-def test_light_is_scaled_until_the_lightest_surfaces_have_albedo_0_8() -> None:
+def test_delight_scales_light_so_that_the_lightest_surfaces_have_albedo_0_8() -> None:
     """The 95th percentile of each albedo's largest channel becomes 0.8, in the presence of observed light."""
     rng = np.random.default_rng(1)
     some = Irradiance(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
@@ -113,7 +113,7 @@ def test_light_is_scaled_until_the_lightest_surfaces_have_albedo_0_8() -> None:
     assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=0.01)
 
 
-def test_occluded_surfaces_do_not_change_an_emitters_radiance() -> None:
+def test_delight_estimates_an_emitters_radiance_without_surfaces_hidden_from_it() -> None:
     """A tenth of the Gaussians receive a fifth of the estimated light; equal weights would double the emitter."""
     rng = np.random.default_rng(3)
     lit, albedo = (
@@ -130,7 +130,7 @@ def test_occluded_surfaces_do_not_change_an_emitters_radiance() -> None:
     assert np.quantile(wanted, 0.95) > 60.0
 
 
-def test_few_surfaces_near_an_emitter_do_not_set_its_radiance() -> None:
+def test_few_dark_surfaces_close_to_an_emitter_do_not_decide_its_estimated_radiance() -> None:
     """A dark lampshade of 1 % of the Gaussians receives fifty times the light of the walls."""
     rng = np.random.default_rng(4)
     lit, albedo = rng.uniform(0.02, 0.06, (4000, 1)), rng.uniform(0.1, 0.84, (4000, 1))
@@ -140,7 +140,7 @@ def test_few_surfaces_near_an_emitter_do_not_set_its_radiance() -> None:
     assert initial_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
 
 
-def test_environment_image_of_an_estimate_respects_its_rotation() -> None:
+def test_rotation_of_the_estimated_environment_light_matches_its_image() -> None:
     """World-space radiance by direction is the same for every rotation of the image."""
     cells, environment = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = with_color(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
@@ -160,7 +160,7 @@ def test_environment_image_of_an_estimate_respects_its_rotation() -> None:
     assert np.median(np.abs(plain - environment[nearest])) < 0.01
 
 
-def test_median_outgoing_radiance_excludes_highlights() -> None:
+def test_median_radiance_over_view_directions_of_a_gaussian_excludes_highlights() -> None:
     """An SH lobe in one direction changes the median far less than the radiance in that direction."""
     plain = with_color(ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 20), 0.2)
     towards = np.array([0.5, 0.8, 0.2]) / np.linalg.norm([0.5, 0.8, 0.2])

@@ -56,7 +56,9 @@ def test_delight_separates_the_albedo_of_a_room_from_its_light(box: CapturedBox,
     assert spread[0] < 0.5 * spread[1]
 
 
-def test_albedo_confidence_is_the_observed_fraction_of_irradiance(box: CapturedBox, estimate: MaterialEstimate) -> None:
+def test_confidence_in_a_delighted_albedo_is_the_observed_fraction_of_irradiance(
+    box: CapturedBox, estimate: MaterialEstimate
+) -> None:
     """Confidence is low where the estimated emitter gives most light, and 1 where it does not shine."""
     seen = 1.0 - box.direct.mean(axis=1) / box.irradiance.mean(axis=1)
     walls = ~box.is_emitter
@@ -65,7 +67,7 @@ def test_albedo_confidence_is_the_observed_fraction_of_irradiance(box: CapturedB
     assert estimate.confidence[walls & (seen > 0.99)].min() > 0.9
 
 
-def test_gaussian_too_bright_for_any_albedo_is_flagged(box: CapturedBox, estimate: MaterialEstimate) -> None:
+def test_delight_flags_gaussians_brighter_than_albedo_1_would_be(box: CapturedBox, estimate: MaterialEstimate) -> None:
     """The Gaussian gets the albedo of its hue with largest channel 1; the residual is the unexplained radiance."""
     walls = ~box.is_emitter & ~estimate.out_of_range
     assert estimate.residual[walls].max() < 1e-5

@@ -75,7 +75,7 @@ def relit(result: ls.inverse.MaterialEvaluation) -> np.ndarray:
     return np.stack([view.pictures["relit/dusk"][0] for view in result.views])
 
 
-def test_evaluation_relights_the_capture_by_the_lights_of_a_scene_file(folder, ball):
+def test_material_evaluation_relights_the_capture_by_the_lights_of_a_scene_file(folder, ball):
     """By default, 64 paths per pixel reach 55 dB; a moved light lowers the result below 30 dB."""
     assert ls.inverse.evaluate_materials(ball, folder, device="cpu").relit["dusk"].psnr > 55.0
     direct = ls.inverse.evaluate_materials(ball, folder, config=HYBRID, samples=4, device="cpu")
@@ -84,7 +84,7 @@ def test_evaluation_relights_the_capture_by_the_lights_of_a_scene_file(folder, b
     assert ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr < 30.0
 
 
-def test_evaluation_compares_no_environment_under_local_lights(folder, ball):
+def test_material_evaluation_compares_no_environment_for_scenes_with_local_lights(folder, ball):
     """A remark gives the reason, and all other metrics are computed."""
     result = ls.inverse.evaluate_materials(ball, folder, environment=panorama(), samples=1, device="cpu")
     assert np.isnan(result.environment_psnr) and result.albedo_psnr > 100.0
@@ -99,7 +99,7 @@ def test_evaluation_compares_no_environment_under_local_lights(folder, ball):
         ("", "dusk.toml"),
     ],
 )
-def test_evaluation_refuses_a_light_file_with_other_content(folder, ball, text, problem):
+def test_material_evaluation_refuses_a_light_file_that_has_more_than_lights(folder, ball, text, problem):
     """The message is one line that names the file."""
     ls.save(folder / "relit" / "ball.ply", ball)
     (folder / "relit" / "dusk.toml").write_text(text)
@@ -108,7 +108,7 @@ def test_evaluation_refuses_a_light_file_with_other_content(folder, ball, text, 
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_masked_pixels_change_no_metric_of_the_evaluation(folder, ball):
+def test_masked_pixels_change_no_metric_of_the_material_evaluation(folder, ball):
     """Wrong pixels where a mask is black change no metric."""
     before = ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu")
     text = (folder / "transforms_test.json").read_text()
@@ -134,7 +134,7 @@ def test_masked_pixels_change_no_metric_of_the_evaluation(folder, ball):
     )
 
 
-def test_default_samples_of_relit_images_keep_noise_small(folder, ball):
+def test_default_samples_of_relit_images_raise_their_psnr_by_6_db_over_few_samples(folder, ball):
     """With three small lights in a dark environment, 64 samples are the default, also for a config without samples."""
     file = np.full((16, 32, 3), 0.05, np.float32)
     file[4, 3], file[6, 17], file[3, 25] = 60.0, 40.0, 50.0

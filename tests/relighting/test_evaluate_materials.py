@@ -49,7 +49,7 @@ def region(folder: Path, view: str) -> np.ndarray:
     return alpha >= 0.5
 
 
-def test_evaluation_of_the_ground_truth_itself_has_no_error(folder, ball):
+def test_material_evaluation_of_the_ground_truth_itself_has_no_error(folder, ball):
     """All metrics are perfect, and the result has one image for each layer and light of each view."""
     result = evaluate(ball, folder, panorama())
     np.testing.assert_allclose(result.albedo_scale, 1.0, atol=1e-6)
@@ -68,7 +68,7 @@ def test_evaluation_of_the_ground_truth_itself_has_no_error(folder, ball):
     assert "albedo_psnr=" in repr(result) and "dusk" in repr(result)
 
 
-def test_jittered_samples_do_not_blur_relit_images(folder, ball):
+def test_relit_images_of_many_samples_stay_as_sharp_as_rays_through_pixel_centres(folder, ball):
     """Samples average light, but their rays pass through pixel centres, as in training."""
     spread = replace(CONFIG, jitter=True)
     result = ls.inverse.evaluate_materials(ball, folder, config=spread, device="cpu")
@@ -87,7 +87,7 @@ def test_ray_traced_relit_captures_are_jittered_only_if_antialiased(folder, ball
         assert (by_default != central) == is_spread
 
 
-def test_evaluation_recovers_the_albedo_scale_of_each_channel(folder, ball):
+def test_material_evaluation_recovers_the_albedo_scale_of_each_channel(folder, ball):
     """One factor per channel is fitted to all views; the unscaled PSNR measures the error without factors, in sRGB."""
     factors = np.array([0.5, 0.9, 1.6])
     expected = []
@@ -104,7 +104,7 @@ def test_evaluation_recovers_the_albedo_scale_of_each_channel(folder, ball):
     assert result.relit["dusk"].psnr < 35.0, "the relit images use the unscaled albedo"
 
 
-def test_known_errors_of_layers_give_the_expected_metrics(folder, ball):
+def test_material_evaluation_gives_the_expected_metrics_for_known_errors_of_layers(folder, ball):
     """Displayed albedo is off by 0.1 in one of two views, roughness by 0.1, relit images by 0.05."""
     inside = region(folder, NAMES[0])
     displayed = encode_srgb(read_layer(folder, "albedo", NAMES[0]))
@@ -136,7 +136,7 @@ def test_normals_rotated_by_10_degrees_give_an_error_of_10_degrees(folder, ball)
     assert result.normal_mean == pytest.approx(10.0 * counts[0] / sum(counts), abs=1e-2)
 
 
-def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ball):
+def test_pixels_outside_the_object_change_no_metric_of_the_material_evaluation(folder, ball):
     """Random values outside the object change nothing; random values inside it randomise all metrics."""
     before = evaluate(ball, folder)
     rng = np.random.default_rng(1)
@@ -168,13 +168,13 @@ def test_pixels_outside_the_object_change_no_metric_of_the_evaluation(folder, ba
     assert wrong_inside.relit["dusk"].psnr < 40.0
 
 
-def test_specular_strength_of_relit_images_comes_from_the_data_set(folder, ball):
+def test_material_evaluation_relights_with_the_specular_strength_of_the_data_set(folder, ball):
     """A data set with ``specular`` 0 is relit without highlights."""
     (folder / "set.json").write_text('{"specular": 0.0}')
     assert evaluate(ball, folder).relit["dusk"].psnr < 50.0
 
 
-def test_evaluation_takes_captured_colors_for_a_missing_albedo(folder, ball):
+def test_material_evaluation_uses_captured_colours_if_the_capture_has_no_albedo(folder, ball):
     """The mean captured colours are decoded to linear albedo, and a remark reports the missing layers."""
     bare = replace(ball, albedo=None, normals=None, roughness=None)
     bare = replace(bare, sh=np.concatenate([bare.sh, np.full((bare.count, 3, 3), 0.05)], axis=1))
@@ -191,7 +191,7 @@ def test_evaluation_takes_captured_colors_for_a_missing_albedo(folder, ball):
     assert explicit.remarks == result.remarks[1:]
 
 
-def test_evaluation_reports_missing_ground_truth_and_computes_the_rest(folder, ball):
+def test_material_evaluation_reports_missing_ground_truth_and_computes_the_rest(folder, ball):
     """Without truth for roughness and relit images, their metrics are missing, and albedo is still measured."""
     for path in (folder / "truth" / "roughness").iterdir():
         path.unlink()
@@ -203,7 +203,7 @@ def test_evaluation_reports_missing_ground_truth_and_computes_the_rest(folder, b
     assert [line.split(":")[0] for line in result.remarks] == ["no ground truth for roughness", "nothing is relit"]
 
 
-def test_progress_of_the_evaluation_covers_layers_and_relit_images(folder, ball):
+def test_progress_of_the_material_evaluation_covers_layers_and_relit_images(folder, ball):
     """Progress goes from 0 to 1 for layers and for relit images."""
     stored: list[tuple[str, float]] = []
     ls.inverse.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: stored.append(now))
@@ -239,7 +239,7 @@ def not_finite(folder: Path, name: str) -> None:
         (not_finite, "normal", "r_002.exr: has values that are not finite"),
     ],
 )
-def test_evaluation_refuses_incomplete_data_sets_naming_the_file(folder, ball, spoil, name, problem):
+def test_material_evaluation_refuses_incomplete_data_sets_and_names_the_file(folder, ball, spoil, name, problem):
     """The message is one line that names the file."""
     spoil(folder, name)
     with pytest.raises(ls.FormatError) as caught:
@@ -247,7 +247,7 @@ def test_evaluation_refuses_incomplete_data_sets_naming_the_file(folder, ball, s
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_evaluation_refuses_invalid_folders_captures_and_environments(tmp_path, ball, folder):
+def test_material_evaluation_refuses_invalid_folders_captures_and_environments(tmp_path, ball, folder):
     """Missing folders, a broken set.json, images without ground truth and invalid arguments are refused."""
     with pytest.raises(ls.FormatError, match="no such folder"):
         evaluate(ball, tmp_path / "nowhere")
@@ -269,7 +269,7 @@ def test_evaluation_refuses_invalid_folders_captures_and_environments(tmp_path, 
         evaluate(ball, folder, np.zeros((4, 4)))
 
 
-def test_evaluation_compares_environments_after_scaling_channels(folder, ball):
+def test_material_evaluation_compares_environments_after_scaling_each_channel(folder, ball):
     """An environment twice as bright and redder is equal; a rotated one is not."""
     assert evaluate(ball, folder, panorama() * (2.5, 2.0, 2.0)).environment_psnr > 100.0
     write_radiance(folder / "environment.exr", np.roll(panorama(), 8, axis=1))

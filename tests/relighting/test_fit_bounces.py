@@ -44,7 +44,7 @@ def test_light_fit_without_bounces_is_biased_by_over_20_percent(bounced):
     assert max(off) > 0.2
 
 
-def test_light_fit_with_eight_samples_does_not_bias_powers(bounced):
+def test_light_fit_with_eight_samples_per_pixel_gives_unbiased_powers(bounced):
     """Powers from eight samples are within 6 %, and on average within 2 %.
 
     Squares of noisy renders would make powers too weak. Robust weights, which take fireflies for objects that the scene
@@ -66,7 +66,7 @@ def test_light_fit_with_eight_samples_does_not_bias_powers(bounced):
     assert abs(np.mean(ratios) - 1.0) < 0.02
 
 
-def test_averaging_window_of_light_fits_scales_with_the_resolution():
+def test_radius_in_pixels_of_a_light_fits_averaging_window_scales_with_the_image():
     """The window has radius 2 in images of 64 pixels and 4 at 128. Twice as wide, a light was 2.8 % off at 64."""
     for width, radius in ((64, 2), (128, 4)):
         aovs = ("albedo", "lights", "direct_diffuse", "direct_glossy", "emission")

@@ -49,7 +49,7 @@ def fitted(scene: ls.Scene, image: np.ndarray, **options) -> ls.inverse.LightFit
 
 
 @pytest.mark.parametrize("has_albedo", [True, False])
-def test_light_fit_recovers_the_colour_of_a_capture_by_one_factor_per_channel(has_albedo):
+def test_light_fit_scales_each_channel_of_a_capture_to_its_true_colour(has_albedo):
     """A capture that starts with wrong red, green and blue gets its two true colours, and the lights are recovered."""
     truth = room_with_capture(has_albedo=has_albedo)
     image = image_of(truth, SMALL, HYBRID)
@@ -65,7 +65,7 @@ def test_light_fit_recovers_the_colour_of_a_capture_by_one_factor_per_channel(ha
     assert not found.remarks
 
 
-def test_fit_of_all_base_colors_includes_captures_with_a_material():
+def test_light_fit_of_all_base_colours_includes_captures_that_have_a_material():
     """A remark reports that lights and colours are determined up to one factor; captures without a material stay."""
     truth = room_with_capture()
     kept = replace(truth, splats=(*truth.splats, replace(truth.splats[0], material=None, name="kept")))
@@ -75,7 +75,7 @@ def test_fit_of_all_base_colors_includes_captures_with_a_material():
     assert found.scene.splats[1] is kept.splats[1]
 
 
-def test_fitted_colours_of_a_capture_stay_at_most_white():
+def test_light_fit_makes_no_colour_of_a_capture_brighter_than_white():
     """The image is three times too bright: fitted albedo ends at 1, and a remark counts the white Gaussians."""
     truth = room_with_capture()
     bright = replace(truth, lights=[replace(light, intensity=3.0 * light.intensity) for light in three_lights()])

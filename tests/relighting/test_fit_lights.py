@@ -67,7 +67,7 @@ def test_light_fit_gives_power_0_to_a_light_that_is_off():
     assert exact.remarks == ("warm: the fit turned it off",)
 
 
-def test_light_fit_with_keep_hues_fits_one_power_per_light():
+def test_light_fit_with_keep_hues_scales_the_brightness_of_a_light_and_not_its_hue():
     """A blue light stays blue, and becomes about as bright as the white light of the image."""
     true_light = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 1.0, 1.0), 3.0)
     tinted = replace(true_light, color=(0.5, 0.5, 1.0), intensity=0.1)
@@ -79,7 +79,7 @@ def test_light_fit_with_keep_hues_fits_one_power_per_light():
     assert exact.lights[0].intensity == pytest.approx(4.0, rel=1e-3)
 
 
-def test_second_image_lowers_the_standard_errors_of_a_light_fit():
+def test_second_image_from_another_camera_lowers_standard_errors_of_a_light_fit():
     """Only the second camera sees the surfaces lit by the light behind the box."""
     lights = three_lights()
     cameras = [VIEW, OTHER]
@@ -158,7 +158,7 @@ def test_light_fit_finds_exposures_relative_to_the_first_image():
     assert "the exposure of image 0 stays 0 stops" in found.remarks[0]
 
 
-def test_emissive_object_of_known_radiance_determines_the_fitted_exposure():
+def test_object_of_known_emission_lets_the_light_fit_find_the_cameras_exposure():
     """The scene has a luminous sign."""
     lights = three_lights()
     shining = replace(matte(0.0), emissive=(0.5, 0.4, 0.3))
@@ -249,7 +249,7 @@ def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> No
 
 
 @pytest.mark.parametrize("room", [open_above, closed])
-def test_light_fit_removes_an_sh_environment_without_light_and_reports_it(room):
+def test_light_fit_removes_and_reports_an_sh_environment_that_adds_no_light(room):
     """In a room open above, the environment is black; in a closed room, it is blocked."""
     lights = three_lights()
     options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
@@ -303,7 +303,7 @@ def test_light_fit_leaves_lights_that_no_image_shows_unchanged():
     assert found.remarks == ("hidden: none of its light appears in the images, so it is unchanged",)
 
 
-def test_light_fit_reports_requested_parameters_that_no_light_has():
+def test_light_fit_reports_requested_parameters_such_as_radii_that_no_light_has():
     """Radii and angles are requested for point lights; each gets its own remark."""
     lights = three_lights()
     small = view(32, 24)
@@ -333,7 +333,7 @@ def test_light_fit_recovers_the_base_colors_of_two_materials():
     assert_powers(both.lights, lights, 5e-3)
 
 
-def test_fit_of_lights_and_all_base_colors_holds_the_mean_base_color():
+def test_light_fit_of_all_base_colours_keeps_their_geometric_mean_fixed():
     """Lights and base colours are determined up to one factor, which a remark reports."""
     lights = three_lights()
     room, camera = closed(*lights), view(32, 24)

@@ -73,7 +73,7 @@ def test_light_fit_reports_progress_for_every_render(monkeypatch):
     assert list(dict.fromkeys(labels)) == ["fitting lights", *(f"fitting lights, {stage}" for stage in stages)]
 
 
-def test_light_fit_recovers_a_position_although_dots_spoil_all_downscaled_pixels():
+def test_light_fit_searches_positions_at_full_size_if_no_downscaled_pixel_is_usable():
     """Black dots spoil every pixel of a downscaled image, so the search runs at full size."""
     light = three_lights()[1]
     image = image_of(closed(light), view(48, 36))
@@ -158,7 +158,7 @@ def test_light_fit_recovers_the_direction_of_a_sun():
     assert_powers((light,), (sun,), 0.02)
 
 
-def test_light_fit_derivatives_by_position_do_not_depend_on_the_step():
+def test_position_derivatives_of_a_light_fit_do_not_depend_on_the_finite_difference_step():
     """Away from shadow edges, a quarter of the step gives equal derivatives, and the floor's equal the closed form."""
     light = replace(three_lights()[0], intensity=1.0)
     scene, images = closed(light), read_images(view(), image_of(closed(light), view()))

@@ -70,7 +70,7 @@ def test_light_fit_refuses_scenes_without_anything_to_fit():
     assert "empty" in refusal(GREY, scene=ls.Scene(lights=three_lights()))
 
 
-def test_light_fit_refuses_settings_out_of_range_by_name():
+def test_error_for_a_light_fit_setting_out_of_range_names_the_setting():
     """Each message names the setting."""
     assert "environment_degree" in refusal(GREY, environment_degree=5)
     assert "positions is 1" in refusal(GREY, positions=1)
@@ -83,7 +83,7 @@ def test_light_fit_refuses_settings_out_of_range_by_name():
     assert "base_colors is 'wood'" in refusal(GREY, base_colors="wood")
 
 
-def test_light_fit_refuses_unreadable_image_files_by_name(tmp_path):
+def test_error_for_an_unreadable_image_of_a_light_fit_names_the_file(tmp_path):
     """Each message names the file."""
     assert "photo.png" in refusal(tmp_path / "photo.png")
     (tmp_path / "text.png").write_text("no picture")

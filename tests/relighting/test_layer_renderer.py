@@ -31,7 +31,7 @@ def test_rendered_material_layers_equal_the_values_of_the_gaussians() -> None:
         np.testing.assert_allclose(drawn["normal"], np.broadcast_to((0.0, 1.0, 0.0), (24, 24, 3)), atol=1e-3)
 
 
-def test_captured_colors_that_replace_albedo_are_decoded_to_linear() -> None:
+def test_captured_colours_used_as_albedo_are_decoded_to_linear_values() -> None:
     """Display value 0.5 is 0.214 linear; values beyond black and white are clipped."""
     values = np.array([0.5, 1.3, -0.2])
     captured = replace(sheet(), albedo=None, sh=np.tile((values - 0.5) / SH_C0, (500, 1, 1)))

@@ -39,7 +39,7 @@ def assert_at(light: ls.LightPoint, position: tuple[float, float, float], radius
     assert np.linalg.norm(np.subtract(light.position, position)) < radius + 1e-5, light
 
 
-def test_estimated_lights_are_the_planted_lamps_brightest_first() -> None:
+def test_light_estimation_finds_the_three_lamps_of_a_scene_brightest_first() -> None:
     """Three lamps are found at their positions with their linear colours."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     for light, position, color in zip(found.lights, POSITIONS, COLORS, strict=True):
@@ -68,7 +68,7 @@ def test_estimated_lights_give_the_requested_irradiance_at_the_centre() -> None:
     assert facing_irradiance(dim.lights[0], CENTER[None]).max() < 0.5
 
 
-def test_light_estimation_takes_no_broad_bright_wall_for_a_light(caplog: pytest.LogCaptureFixture) -> None:
+def test_light_estimation_does_not_mistake_a_bright_wall_for_a_light(caplog: pytest.LogCaptureFixture) -> None:
     """The wall is as bright as the lamp; a warning reports that fewer lights than requested were found."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         found = ls.inverse.estimate_lights(
@@ -106,7 +106,7 @@ def test_light_estimation_prefers_a_lamp_to_a_view_dependent_highlight() -> None
     assert decode_srgb(colors_along(glint, away)).min() > 1.1
 
 
-def test_light_estimation_prefers_colours_constant_over_viewpoints() -> None:
+def test_light_estimation_prefers_lamps_of_equal_colour_from_all_viewpoints() -> None:
     """Of two lamps whose colours vary equally over all directions, the one that varies less over viewpoints wins."""
     positions = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
     # The colours of both lamps vary equally: of the first along the viewing direction, where viewpoints hardly matter,
@@ -124,7 +124,7 @@ def test_light_estimation_prefers_colours_constant_over_viewpoints() -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.98, 0.0), (0.98, 0.98), (-0.98, 0.4)])
-def test_surrounding_score_is_high_at_wall_corners_and_low_at_lamps(x: float, y: float) -> None:
+def test_light_estimation_scores_surrounding_brightness_high_on_walls_and_low_at_lamps(x: float, y: float) -> None:
     """At any point of a bright wall, some octant around it is as bright as the wall; around a lamp, none is."""
     steps = np.linspace(-1.0, 1.0, 81)
     wall = np.stack(np.meshgrid(steps, steps, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -169,7 +169,7 @@ def test_light_estimation_is_deterministic() -> None:
     assert [light.position for light in one.lights] == [light.position for light in other.lights]
 
 
-def test_radius_and_separation_bound_the_light_search() -> None:
+def test_light_estimation_finds_no_light_beyond_its_radius_and_none_too_close_together() -> None:
     """No light is beyond the radius, and no two lights are closer than the separation."""
     near = looks(radius=2.1, emitter_size=0.25)
     distances = [np.linalg.norm(np.subtract(position, CENTER)) for position in POSITIONS]
@@ -179,7 +179,7 @@ def test_radius_and_separation_bound_the_light_search() -> None:
     assert len(ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=wide).lights) == 1
 
 
-def test_very_bright_outlier_does_not_hide_lamps_from_light_estimation() -> None:
+def test_light_estimation_finds_lamps_also_beside_one_very_bright_gaussian() -> None:
     """One Gaussian a hundred times brighter than white becomes a light, and the lamps are found as well."""
     stray = captured(np.array([[2.0, 0.5, 0.5]]), np.full(3, 100.0))
     found = ls.inverse.estimate_lights(

@@ -22,7 +22,7 @@ LAMPS: tuple[Point, ...] = ((1.1, 2.4, 1.3), (-1.2, 2.2, -1.4))
 SUN: Point = (0.5, 0.7, 0.4)
 
 
-def test_light_estimation_finds_lamps_that_light_a_room_and_no_flowers() -> None:
+def test_light_estimation_finds_the_lamps_of_a_room_and_not_its_white_objects() -> None:
     """Only the two lamps are found among white balls and a sheet of paper, although four lights are requested."""
     found = ls.inverse.estimate_lights(room(LAMPS), CENTER, 4)
     positions = np.array([light.position for light in found.lights])
@@ -98,7 +98,7 @@ def test_estimated_sun_is_never_below_the_ground(seed: int) -> None:
 
 
 @pytest.mark.deep
-def test_sun_search_of_over_a_second_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_for_the_sun_reports_progress_only_after_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     """Progress starts after a second and increases to 1; a short search reports nothing."""
     reports: list[tuple[str, float]] = []
     monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 1e9)
@@ -117,7 +117,7 @@ def surfaces(luminance: np.ndarray, normals: np.ndarray, blocks: np.ndarray) -> 
     return CapturedSurfaces(np.zeros((len(luminance), 3)), normals, luminance, blocks, cells)
 
 
-def test_shading_regression_recovers_the_factor_of_a_light() -> None:
+def test_regression_of_shading_recovers_the_brightness_factor_of_a_light() -> None:
     """The light explains all variance that the smooth environment leaves; once added, it explains nothing more."""
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(3000, 3))
@@ -133,7 +133,7 @@ def test_shading_regression_recovers_the_factor_of_a_light() -> None:
     assert abs(again.share) < 1e-3
 
 
-def test_random_brightness_per_block_is_seldom_taken_for_shading() -> None:
+def test_random_brightness_of_spatial_blocks_is_not_taken_for_shading_by_a_light() -> None:
     """Standard errors by spatial blocks keep the false positive rate for brightness that is random per block."""
     rng = np.random.default_rng(1)
     normals = np.tile([0.0, 0.0, 1.0], (2000, 1))
@@ -147,7 +147,7 @@ def test_random_brightness_per_block_is_seldom_taken_for_shading() -> None:
     assert (significances < LIGHT_SIGNIFICANCE).all()
 
 
-def test_solid_voxels_block_rays_through_them_only() -> None:
+def test_solid_voxels_block_rays_through_them_but_not_shorter_or_adjacent_rays() -> None:
     """Rays that pass through a wall of voxels are blocked; rays that end before it or pass beside it are free."""
     solid = np.zeros((8, 8, 8), np.bool_)
     solid[4, 2:6, 2:6] = True

@@ -43,7 +43,7 @@ def test_solid_angles_of_cube_map_pixels_sum_to_4_pi(face_px: int) -> None:
     assert angles.max() == angles[face_px // 2, face_px // 2] and angles.min() == angles[0, 0] > 0.0
 
 
-def test_solid_angles_of_small_cube_map_pixels_match_the_limit() -> None:
+def test_solid_angles_of_cube_map_pixels_match_the_formula_for_infinitesimal_pixels() -> None:
     """The limit is ``dx dy / (1 + x^2 + y^2)^(3/2)``."""
     x, y = np.meshgrid((np.arange(256) + 0.5) / 128.0 - 1.0, (np.arange(256) + 0.5) / 128.0 - 1.0)
     np.testing.assert_allclose(cube_solid_angles(256), (1.0 + x * x + y * y) ** -1.5 / 128.0**2, rtol=2e-5)
@@ -73,7 +73,9 @@ def test_probe_fit_recovers_constant_radiance() -> None:
 
 
 @pytest.mark.parametrize(("count", "unit_of_weights"), [(800, 1.0), (20_000, 1.0), (800, 1e-4)])
-def test_ridge_of_a_probe_fit_is_independent_of_sample_count_and_weights(count: int, unit_of_weights: float) -> None:
+def test_shrinkage_by_the_ridge_of_a_probe_fit_is_equal_for_any_samples_and_weights(
+    count: int, unit_of_weights: float
+) -> None:
     """A ridge shrinks coefficients by ``1 / (1 + ridge)``, for any number of even samples and any unit of weights."""
     index = np.arange(count) + 0.5
     z, phi = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
@@ -108,7 +110,7 @@ def test_probe_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
-def test_probe_has_each_colour_in_the_direction_of_its_object(pipeline: ls.Pipeline) -> None:
+def test_light_probe_has_the_colour_of_each_object_in_its_direction(pipeline: ls.Pipeline) -> None:
     """No axis of radiance or irradiance is swapped or mirrored."""
     position = np.array([0.3, -1.2, 5.0])
     config = ls.RenderConfig(pipeline=pipeline)
@@ -154,7 +156,7 @@ def test_probe_has_the_background_in_uncovered_directions() -> None:
     np.testing.assert_array_equal(clear.coefficients, 0.0)
 
 
-def test_partly_covered_probe_pixels_are_unpremultiplied_before_decoding() -> None:
+def test_display_colours_of_partly_covered_probe_pixels_are_decoded_without_alpha() -> None:
     """A grey Gaussian of opacity 0.5 gives half of its linear grey."""
     renderer = ls.create_renderer(ls.RenderConfig(background=None), "cpu")
     half = one_gaussian((0.0, 0.0, 4.0), 50.0, 0.5, (0.5, 0.5, 0.5))
@@ -185,7 +187,7 @@ def test_near_plane_of_a_probe_clips_objects_at_its_position() -> None:
     assert np.abs(hidden - expected).max() > 0.1
 
 
-def test_probe_by_a_given_renderer_equals_the_probe_by_its_config() -> None:
+def test_probe_captured_by_a_given_renderer_equals_one_by_the_same_config() -> None:
     """The renderer can be used repeatedly; twice as many pixels change coefficients by at most 0.02."""
     scene = ls.Scene([random_gaussians(9, 200, 2, (0.0, 0.0, 0.0))])
     renderer = ls.create_renderer(ls.RenderConfig(background=(0.2, 0.3, 0.4)), "cpu")
@@ -353,7 +355,7 @@ def test_environment_probe_refuses_invalid_arguments_in_one_line(call, error: ty
     assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_probe_capture_refuses_both_a_renderer_and_a_config() -> None:
+def test_capture_of_a_probe_refuses_a_renderer_and_a_config_given_together() -> None:
     """A renderer already has a config, so one of the two arguments must be omitted."""
     renderer = ls.create_renderer(None, "cpu")
     with pytest.raises(ls.ConfigError, match="give one of the two"):

@@ -51,7 +51,7 @@ def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
     "settings",
     [{}, {"exponent": 2.0}, {"exponent": 7.3, "rows": 24}, {"scale_max": 0.8}, {"rows": 8}, {"exponent": 0.5}],
 )
-def test_relight_scales_match_the_equations_of_mir_et_al(settings: dict) -> None:
+def test_scales_of_colours_by_relight_match_the_equations_of_mir_et_al(settings: dict) -> None:
     """There are more normals than one batch holds, and some lie along the axes."""
     config = ls.config.RelightConfig(**settings)
     normals = np.concatenate([np.eye(3), -np.eye(3), unit(1, 2500)])
@@ -60,7 +60,7 @@ def test_relight_scales_match_the_equations_of_mir_et_al(settings: dict) -> None
     assert (twin == 0.0).any() or config.exponent < 7.0
 
 
-def test_relight_scale_with_exponent_1_is_irradiance_over_pi() -> None:
+def test_scale_of_colours_by_relight_with_exponent_1_is_irradiance_over_pi() -> None:
     """The error is below 2 % for a grid of 16 rows, and below 0.15 % for 64 rows."""
     probe, normals = ls.avatars.EnvironmentProbe(np.abs(some_probe().coefficients)), unit(2, 200)
     exact = np.clip(probe.irradiance(normals) / np.pi, 0.0, 1e3)
@@ -70,7 +70,7 @@ def test_relight_scale_with_exponent_1_is_irradiance_over_pi() -> None:
 
 
 @pytest.mark.parametrize("exponent", [1.0, 8.0, 64.0])
-def test_relight_scales_of_a_grid_of_16_rows_are_within_1_percent(exponent: float) -> None:
+def test_scales_by_relight_from_16_grid_rows_are_within_1_percent_of_128_rows(exponent: float) -> None:
     """The reference is a grid of 128 rows, for any exponent and any normal."""
     probe, normals = some_probe(), unit(3, 400)
     rough, fine = (
@@ -100,7 +100,7 @@ def test_relighting_by_a_captured_white_environment_changes_nothing(pipeline: ls
     np.testing.assert_array_equal(ls.relight(gaussians, probe).sh, gaussians.sh)
 
 
-def test_relight_gamma_scales_the_linear_light() -> None:
+def test_gamma_setting_of_relight_multiplies_the_linear_light() -> None:
     """Constant radiance L with gamma g multiplies linear colours by L g."""
     gaussians = random_gaussians(7, 200)
     colors = display_colors(gaussians)
@@ -119,7 +119,7 @@ def test_relighting_scales_each_colour_channel_separately() -> None:
     np.testing.assert_allclose(relit, [[encode_srgb(0.5 * decode_srgb(np.array(0.8))), 0.0, 0.0]], atol=1e-5)
 
 
-def test_relit_side_towards_the_light_is_brighter() -> None:
+def test_ball_relit_from_one_side_is_brighter_on_that_side() -> None:
     """A ball under light from +x darkens away from +x; a larger exponent darkens it faster."""
     directions = unit(10, 20_000)
     environment = np.where(directions[:, :1] > 0.8, 5.0, 0.1) * np.ones(3)

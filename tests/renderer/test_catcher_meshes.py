@@ -41,7 +41,7 @@ def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settin
 
 
 @PIPELINES
-def test_mesh_catcher_has_the_shadow_ratio_of_a_captured_floor(pipeline: ls.Pipeline) -> None:
+def test_shadow_catcher_mesh_has_the_shadow_ratio_of_a_captured_floor(pipeline: ls.Pipeline) -> None:
     """Below a disc, the ratio is the unoccluded ambient light over the sum of ambient light and sun."""
     scene = ls.Scene([], [plane(), disc()], [SUN])
     frame = rendered(scene, below(), pipeline, background=None)
@@ -56,7 +56,7 @@ def test_mesh_catcher_has_the_shadow_ratio_of_a_captured_floor(pipeline: ls.Pipe
 
 
 @PIPELINES
-def test_mesh_catcher_is_invisible_away_from_added_objects(pipeline: ls.Pipeline) -> None:
+def test_shadow_catcher_mesh_is_invisible_away_from_added_objects(pipeline: ls.Pipeline) -> None:
     """Away from added objects, captures and indices keep their bits, and the catcher hides nothing."""
     camera = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=96, height=48, fov_y=0.5)
     ball = ls.MeshInstance(replace(sphere(0.2, rows=16), material=diffuse(0.5)), position=(0, 0.2, 0))
@@ -72,7 +72,7 @@ def test_mesh_catcher_is_invisible_away_from_added_objects(pipeline: ls.Pipeline
 
 
 @pytest.mark.parametrize("albedo", [0.2, 0.7])
-def test_mesh_catcher_receives_light_bounced_by_its_albedo(albedo: float) -> None:
+def test_light_bounced_between_a_shadow_catcher_mesh_and_objects_depends_on_its_albedo(albedo: float) -> None:
     """Light bounces between a white lid and the floor; a mesh catcher has the ratio of a captured floor."""
     constant = ls.LightEnvironment(color=(1.0, 1.0, 1.0), visible=False)
     settings = {"background": (0.0, 0.0, 0.0), "samples": 64, "max_bounces": 6}
@@ -87,7 +87,7 @@ def test_mesh_catcher_receives_light_bounced_by_its_albedo(albedo: float) -> Non
     assert proxy.shadow_ratio.mean() == pytest.approx(shadowed / open_floor, rel=0.04)
 
 
-def test_shadow_ratio_of_colour_channels_without_light_is_one() -> None:
+def test_shadow_ratio_of_colour_channels_in_which_there_is_no_light_is_one() -> None:
     """Below a disc, the light has no blue, so that the ratio of the blue channel is 1."""
     yellow = ls.LightEnvironment(color=(0.3, 0.4, 0.0), visible=False)
     frame = rendered(ls.Scene([], [plane(), disc()], [yellow]), below(), ls.Pipeline.HYBRID, samples=16)
@@ -97,7 +97,7 @@ def test_shadow_ratio_of_colour_channels_without_light_is_one() -> None:
 
 
 @PIPELINES
-def test_mesh_catcher_darkens_the_visible_environment_behind_it(pipeline: ls.Pipeline) -> None:
+def test_shadow_catcher_mesh_darkens_the_visible_environment_behind_it(pipeline: ls.Pipeline) -> None:
     """The environment map is the background photograph where nothing was captured."""
     constant = ls.LightEnvironment(color=(0.3, 0.4, 0.9))
     scene = ls.Scene([], [plane(), disc()], [constant])
@@ -106,7 +106,7 @@ def test_mesh_catcher_darkens_the_visible_environment_behind_it(pipeline: ls.Pip
     np.testing.assert_allclose(frame.color, frame.shadow_ratio * np.array((0.3, 0.4, 0.9)), rtol=1e-3)
 
 
-def test_mesh_catcher_below_floaters_shows_a_smooth_shadow() -> None:
+def test_shadow_catcher_mesh_below_floaters_shows_a_smooth_shadow() -> None:
     """Shadows on the floaters are blotchy; on the mesh through them they are smooth."""
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=64, height=64, fov_y=0.5)
     lid = replace(disc(), positions=disc().positions * np.array([0.9, 2.0, 0.9]) + np.array([0.0, 0.6, 0.9]))
@@ -119,7 +119,7 @@ def test_mesh_catcher_below_floaters_shows_a_smooth_shadow() -> None:
     assert proxy.shadow_ratio[inside].std() < 0.05 and proxy.shadow_ratio[inside].mean() < 0.5
 
 
-def test_glossy_mesh_catcher_reflects_added_objects() -> None:
+def test_glossy_shadow_catcher_mesh_reflects_added_objects() -> None:
     """The rest of the frame is unchanged."""
     camera = ls.Camera.look_at((0, 0.8, 3.0), (0, 0, 0), (0, 1, 0), width=64, height=48, fov_y=0.6)
     light = ls.LightDirectional((0, -0.3, -1), intensity=4.0, casts_shadow=False)
@@ -154,7 +154,7 @@ def test_gltf_usd_and_scene_files_store_the_shadow_catcher_flag_of_meshes(tmp_pa
     assert sorted(one.shadow_catcher for one in loaded.meshes) == [False, True]
 
 
-def test_unlit_frames_and_mattes_leave_out_mesh_catchers() -> None:
+def test_unlit_frames_and_mattes_leave_out_shadow_catcher_meshes() -> None:
     """Instances behind catchers in the list keep their index."""
     camera = ls.Camera.look_at((0, 0.8, 3.0), (0, 0.2, 0), (0, 1, 0), width=32, height=24, fov_y=0.6)
     box = ls.MeshInstance(ls.box((0.5, 0.5, 0.5)), name="box")
@@ -165,7 +165,7 @@ def test_unlit_frames_and_mattes_leave_out_mesh_catchers() -> None:
     assert mattes.objects.coverage("box").max() == pytest.approx(1.0)
 
 
-def test_frames_with_mesh_catchers_cannot_be_resumed() -> None:
+def test_frames_with_shadow_catcher_meshes_cannot_be_resumed() -> None:
     """The error is one line."""
     scene = ls.Scene([], [plane(), disc()], [SUN])
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=2), "cpu")

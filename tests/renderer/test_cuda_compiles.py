@@ -59,7 +59,7 @@ def check_compiles(module: Any, architecture: int) -> None:
         assert f"{kernel.key}_" in code
 
 
-def test_warp_reductions_in_cuda_kernels_use_one_instruction() -> None:
+def test_cuda_kernels_compute_the_maximum_over_a_warp_with_one_instruction() -> None:
     """Packets reduce over a warp by redux.sync, and launch bounds allow four blocks per multiprocessor."""
     (tracer, *_) = [module for name, module in GENERATED.items() if name.startswith("gaussian_trace_kernel")]
     code = compile_for_cuda(tracer).read_text()

@@ -36,7 +36,7 @@ def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize("wall", [(), (6.0,)])
-def test_deep_samples_composite_to_the_traced_frame(cloud: ls.Gaussians, wall: tuple[float, ...]) -> None:
+def test_composited_deep_samples_equal_the_traced_frame(cloud: ls.Gaussians, wall: tuple[float, ...]) -> None:
     """The scene is a cloud of Gaussians, with and without a wall among them."""
     scene = ls.Scene(splats=[cloud], meshes=[card(depth) for depth in wall])
     deep = ls.layers.render_deep(scene, front_camera(), device="cpu")
@@ -48,7 +48,7 @@ def test_deep_samples_composite_to_the_traced_frame(cloud: ls.Gaussians, wall: t
     assert inside[np.setdiff1d(np.arange(len(inside)), deep.first[1:-1] - 1)].all()
 
 
-def test_deep_samples_of_a_given_lit_frame_composite_to_that_frame(cloud: ls.Gaussians) -> None:
+def test_composited_deep_samples_made_for_a_lit_frame_equal_that_frame(cloud: ls.Gaussians) -> None:
     """Colours add up to the lit frame; depths and alphas are those of the rays."""
     lit = ls.Scene(
         splats=[ls.SplatInstance(cloud, material=ls.MaterialPbr())],
@@ -63,7 +63,7 @@ def test_deep_samples_of_a_given_lit_frame_composite_to_that_frame(cloud: ls.Gau
         ls.layers.render_deep(lit, front_camera().scaled(20), frame, device="cpu")
 
 
-def test_objects_can_be_inserted_in_depth_between_deep_samples(cloud: ls.Gaussians) -> None:
+def test_object_composited_between_deep_samples_by_depth_equals_a_render_with_it(cloud: ls.Gaussians) -> None:
     """The transmittance before an inserted wall is that of a frame rendered with the wall, within one 8-bit step."""
     config = replace(TRACED, trace=ls.TraceConfig(hit_distance=ls.config.HitDistance.PEAK))
     deep = ls.layers.render_deep(ls.Scene(splats=[cloud]), front_camera(), config=config, device="cpu")

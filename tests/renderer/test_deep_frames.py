@@ -73,7 +73,7 @@ CONFIGS = {
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_deep_samples_composite_to_frames_of_every_pipeline(scene: ls.Scene, name: str) -> None:
+def test_composited_deep_samples_equal_frames_of_every_pipeline(scene: ls.Scene, name: str) -> None:
     """The frames are lit and unlit, with one and several samples per pixel."""
     config, camera = CONFIGS[name], front_camera()
     frame = ls.render(scene, camera, config, device="cpu")
@@ -81,7 +81,7 @@ def test_deep_samples_composite_to_frames_of_every_pipeline(scene: ls.Scene, nam
 
 
 @pytest.mark.parametrize("model", ["lens", "wide lens", "fisheye", "orthographic", "window"])
-def test_deep_samples_composite_to_frames_of_every_camera_model(scene: ls.Scene, model: str) -> None:
+def test_composited_deep_samples_equal_frames_of_every_camera_model(scene: ls.Scene, model: str) -> None:
     """The samples reproduce the blur of a thin lens, too."""
     front = front_camera()
     around: Any = {"width": front.width, "height": front.height}
@@ -101,7 +101,7 @@ def test_deep_samples_composite_to_frames_of_every_camera_model(scene: ls.Scene,
     check(ls.layers.render_deep(scene, cameras[model], frame, config, device="cpu"), frame)
 
 
-def test_deep_samples_at_mesh_edges_cover_the_fraction_of_rays_that_hit(scene: ls.Scene) -> None:
+def test_alpha_of_a_deep_sample_at_a_mesh_edge_is_the_fraction_of_rays_that_hit(scene: ls.Scene) -> None:
     """Surfaces behind the mesh get the rest of the pixel."""
     meshes = ls.Scene(meshes=scene.meshes)
     config = ls.RenderConfig(lighting=True, samples=4)
@@ -207,7 +207,7 @@ def test_deep_samples_of_visible_lights_have_alpha_zero_at_the_lights_depth(name
         *(pytest.param(ls.Pipeline.REALTIME, name, marks=pytest.mark.deep) for name in ("sphere", "disk")),
     ],
 )
-def test_deep_samples_composite_to_frames_with_visible_lights(
+def test_composited_deep_samples_equal_frames_with_visible_lights(
     scene: ls.Scene, name: str, pipeline: ls.Pipeline
 ) -> None:
     """Lights are among Gaussians and meshes, and in front of an empty background."""

@@ -58,7 +58,7 @@ def test_lit_frame_does_not_depend_on_the_distance_from_the_origin(pipeline: ls.
         np.testing.assert_allclose(shown(pipeline, *lit(position)), expected, atol=2e-3)
 
 
-def test_mesh_with_far_object_coordinates_looks_like_one_at_the_origin() -> None:
+def test_mesh_whose_vertices_are_far_from_its_own_origin_looks_like_one_near_it() -> None:
     """The corners are far away in object space, at integers that float32 represents exactly."""
     place = (2.0**20, -(2.0**20), 2.0**19)
     scene, camera = lit()

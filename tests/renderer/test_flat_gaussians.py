@@ -47,7 +47,7 @@ def surfel_alpha(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 75.0])
-def test_ray_traced_flat_gaussian_equals_the_2d_surfel_of_its_trainer(tmp_path: Path, degrees: float) -> None:
+def test_ray_traced_flat_gaussian_equals_the_surfel_of_2d_gaussian_splatting(tmp_path: Path, degrees: float) -> None:
     """The ray hits the plane of the Gaussian, seen frontally and at an angle."""
     gaussians, axes = tilted(tmp_path, degrees)
     x, y = np.meshgrid(np.linspace(-0.05, 0.1, 40), np.linspace(-0.12, 0.0, 40))
@@ -63,7 +63,9 @@ def test_ray_traced_flat_gaussian_equals_the_2d_surfel_of_its_trainer(tmp_path: 
 
 
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 75.0])
-def test_rasterised_flat_gaussian_is_close_to_the_2d_surfel_of_its_trainer(tmp_path: Path, degrees: float) -> None:
+def test_rasterised_flat_gaussian_is_close_to_the_surfel_of_2d_gaussian_splatting(
+    tmp_path: Path, degrees: float
+) -> None:
     """The linearised projection with its blur of half a pixel gives nearly the same image."""
     gaussians, axes = tilted(tmp_path, degrees)
     camera = ls.Camera.look_at((0, 0, 0), tuple(CENTRE), (0, -1, 0), width=240, height=180, fov_y=0.15)

@@ -56,7 +56,7 @@ def test_lit_frames_of_cuda_and_cpu_are_equal(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
-def test_lighting_on_cuda_leaves_captures_unchanged(pipeline: ls.Pipeline) -> None:
+def test_lit_frame_on_cuda_of_captures_without_materials_equals_the_unlit_frame(pipeline: ls.Pipeline) -> None:
     """Without reflecting surfaces, lit and unlit frames differ by the rounding of separately compiled kernels."""
     scene, camera = ls.Scene([scenes.random_gaussians(71, 300, degree=2)], (), lit_scene.LIGHTS), lit_scene.camera()
     config = ls.RenderConfig(pipeline=pipeline, background=(0.2, 0.3, 0.4), lighting=True)
@@ -109,7 +109,7 @@ def test_unscented_frames_and_gradients_of_cuda_and_cpu_are_equal(name: str) -> 
     assert np.abs(poses[0] - poses[1]).max() < 5e-3 * np.abs(poses[0]).max()  # all pixels affect the pose
 
 
-def test_replayed_cuda_graph_gives_the_bits_of_a_direct_frame() -> None:
+def test_frame_replayed_from_a_cuda_graph_equals_one_launched_directly_to_the_bit() -> None:
     """The third frame is a replay, equals the first to the bit, and follows a moved camera."""
     case = scenes.cases()[3]
     renderer = ls.create_renderer(case.config, "cuda")

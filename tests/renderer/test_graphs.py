@@ -78,7 +78,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
-def test_steady_frame_launches_only_captured_graphs_and_no_single_kernel(settings: ls.RenderConfig) -> None:
+def test_frame_of_an_unchanged_scene_replays_graphs_and_launches_no_single_kernel(settings: ls.RenderConfig) -> None:
     """A frame with samples, lights, mirrors and all layers launches no single kernel, and all bits are equal."""
     pair, shown = Pair(settings), scene(*LIGHTS, ENVIRONMENT)
     pair.warm_up(shown, camera())
@@ -102,7 +102,9 @@ def rotated_environment(shown: ls.Scene) -> ls.Scene:
 
 
 @pytest.mark.parametrize("change", [moved, rotated_environment], ids=["instances and lights", "environment"])
-def test_captured_graphs_are_reused_when_cameras_objects_or_lights_move(change: Callable[[ls.Scene], ls.Scene]) -> None:
+def test_captured_cuda_graphs_are_reused_when_cameras_objects_or_lights_move(
+    change: Callable[[ls.Scene], ls.Scene],
+) -> None:
     """Cameras, transforms, lights and samples are read from arrays with constant addresses."""
     settings = config(ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=2, max_bounces=0)
     pair, shown = Pair(settings), scene(*LIGHTS, ENVIRONMENT)
@@ -151,7 +153,7 @@ FROZEN = [*((change, ls.Pipeline.HYBRID) for change in CHANGES), (partly_relit, 
 
 
 @pytest.mark.parametrize(("change", "pipeline"), FROZEN, ids=[f"{change.__name__} {name}" for change, name in FROZEN])
-def test_captured_graphs_are_stale_after_lights_or_objects_are_replaced(
+def test_graphs_are_captured_anew_after_lights_or_objects_are_replaced(
     change: Callable[[ls.Scene], ls.Scene], pipeline: ls.Pipeline
 ) -> None:
     """A changed scene is drawn directly, then captured again; so is the first scene afterwards."""
@@ -165,7 +167,7 @@ def test_captured_graphs_are_stale_after_lights_or_objects_are_replaced(
     assert pair.launches_of(shown, camera()) == 0
 
 
-def test_captured_graphs_are_stale_after_buffers_grow() -> None:
+def test_graphs_are_captured_anew_after_buffers_grow() -> None:
     """Graphs contain addresses, and must not write to freed memory."""
     pair, shown = Pair(config(shadows=ls.Shadows.SOFT, samples=1)), scene(*LIGHTS)
     pair.warm_up(shown, camera())
@@ -191,7 +193,7 @@ def test_ray_queries_do_not_change_frames_replayed_from_graphs(pipeline: ls.Pipe
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_camera_rays_and_rays_leaving_gaussians_use_different_graphs(pipeline: ls.Pipeline) -> None:
+def test_camera_rays_and_rays_that_start_on_gaussians_replay_different_graphs(pipeline: ls.Pipeline) -> None:
     """Equal numbers of camera rays and of rays that leave Gaussians must not share a graph."""
     settings = config(pipeline, samples=2, max_bounces=1, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO))
     graphs, direct = (
@@ -207,7 +209,7 @@ def test_camera_rays_and_rays_leaving_gaussians_use_different_graphs(pipeline: l
         np.testing.assert_array_equal(graphs.leaving_hits(*rays, near).radiance, leaving.radiance)
 
 
-def test_captured_graph_is_enlarged_when_glass_fills_the_view() -> None:
+def test_graph_captured_with_little_glass_is_replaced_when_glass_fills_the_view() -> None:
     """Glass that fills the view needs larger arrays than the graph of a small ball, and is rendered completely."""
     pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=2)), scene(*LIGHTS)
     far = ls.Camera.look_at((0.1, 1.0, -9.0), (0.8, 0.35, 1.0), width=96, height=64, fov_y=0.8)
@@ -240,7 +242,7 @@ NEVER_CAPTURED = (READ_BACK, (Buffers, "_allocate"), (buffers, "assign_table"))
 
 
 @pytest.mark.parametrize("adaptive", [False, True])
-def test_path_tracing_of_a_sample_reads_back_allocates_and_uploads_nothing(
+def test_path_traced_sample_neither_allocates_nor_copies_to_or_from_the_device(
     adaptive: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Once buffers have grown, the ray waves of a sample only launch kernels."""
@@ -252,7 +254,7 @@ def test_path_tracing_of_a_sample_reads_back_allocates_and_uploads_nothing(
     np.testing.assert_array_equal(renderer.render(shown, camera().scaled(24, 16)).color, expected.color)
 
 
-def test_adaptive_samples_replay_the_same_captured_graphs() -> None:
+def test_adaptive_samples_of_a_frame_replay_the_graphs_of_its_first_samples() -> None:
     """The sampled pixels differ between samples, and are read from arrays with constant addresses."""
     samples = NOISE_SAMPLES_MIN + 6
     settings = config(ls.Pipeline.PATH, samples=samples, max_bounces=2, adaptive=True)

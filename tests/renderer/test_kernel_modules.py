@@ -123,7 +123,7 @@ def names_of(content: ls.Scene, **settings: Any) -> set[str]:
 
 
 @pytest.mark.parametrize("soft", [False, True])
-def test_shadow_catcher_without_other_objects_launches_no_shadow_rays(soft: bool) -> None:
+def test_frame_of_a_shadow_catcher_and_no_other_object_launches_no_shadow_rays(soft: bool) -> None:
     """Only added objects cast shadows on catchers: a catcher alone needs no shadow rays and no BVH."""
     settings: dict[str, Any] = {"shadows": ls.Shadows.SOFT} if soft else {}
     for light in (LIGHT, ls.LightEnvironment()):
@@ -151,7 +151,7 @@ def test_invalid_settings_are_refused_before_any_kernel_is_compiled() -> None:
     assert not launcher.loaded
 
 
-def test_renderers_with_one_launcher_load_each_kernel_once() -> None:
+def test_renderers_that_share_a_launcher_load_each_kernel_once() -> None:
     """Renderers with one launcher share kernels, also after a change of settings."""
     reported: list[str] = []
     launcher = Launcher("cpu", threads=1)

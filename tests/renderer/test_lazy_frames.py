@@ -71,7 +71,7 @@ def assert_same(frame: Any, expected: ls.Frame) -> None:
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
-def test_unread_frame_is_not_changed_by_later_frames(settings: ls.RenderConfig) -> None:
+def test_frame_whose_images_are_not_yet_downloaded_is_not_changed_by_later_frames(settings: ls.RenderConfig) -> None:
     """The images of the frame waited on the device or were downloaded when later frames needed the memory."""
     renderer, shown = lazy_renderer(settings), scene(*LIGHTS, ENVIRONMENT)
     views = [camera(), other_camera()] * 3
@@ -82,7 +82,7 @@ def test_unread_frame_is_not_changed_by_later_frames(settings: ls.RenderConfig) 
         assert not unread(frame)
 
 
-def test_unread_images_of_a_frame_stay_on_the_device() -> None:
+def test_images_of_a_frame_stay_on_the_device_until_they_are_read() -> None:
     """The repr and the list of layers of the frame do not download images, either."""
     frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LIGHTS, ENVIRONMENT), camera())
     everything = unread(frame)
@@ -110,7 +110,7 @@ def test_unknown_attributes_of_lazy_frames_raise_attribute_errors() -> None:
             frame.colour  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]  # noqa: B018
 
 
-def test_device_memory_of_read_or_dropped_lazy_frames_is_reused() -> None:
+def test_device_memory_of_a_lazy_frame_is_reused_once_it_is_read_or_dropped() -> None:
     """Memory is returned when a frame is dropped, or when all of its images have been read."""
     renderer = lazy_renderer(SETTINGS["lit"])
     downloads = renderer._buffers.downloads
@@ -193,7 +193,7 @@ def test_device_and_host_encode_a_frame_to_the_same_8_bit_image(transparent: boo
     np.testing.assert_array_equal(picture, expected)
 
 
-def test_device_leaves_8_bit_encoding_of_non_finite_frames_to_the_host() -> None:
+def test_frames_with_non_finite_values_are_encoded_to_8_bits_by_the_host() -> None:
     """One non-finite colour or alpha suffices; the host draws the pixel black and counts it when saving."""
     for channel, value in ((0, np.nan), (1, np.inf), (2, -np.inf)):
         color = np.full((4, 5, 3), 0.5, np.float32)
@@ -254,7 +254,7 @@ def test_device_and_host_encode_lit_frames_to_8_bit_within_one_step(
 
 
 @pytest.mark.parametrize("name", ["captured", "captured_weight", "light", "alpha"])
-def test_device_leaves_8_bit_encoding_of_non_finite_lit_frames_to_the_host(name: str) -> None:
+def test_lit_frames_with_non_finite_values_are_encoded_to_8_bits_by_the_host(name: str) -> None:
     """One non-finite value in any image of the frame suffices."""
     images = random_lit_images(np.random.default_rng(3))
     assert lit_bytes(images, 0.0, ls.ToneMap.NEUTRAL, transparent=False) is not None
@@ -263,7 +263,7 @@ def test_device_leaves_8_bit_encoding_of_non_finite_lit_frames_to_the_host(name:
 
 
 @pytest.mark.parametrize("name", SETTINGS.keys())
-def test_saving_or_showing_a_lazy_frame_downloads_only_its_8_bit_image(
+def test_lazy_frame_that_is_saved_or_shown_downloads_only_its_8_bit_image(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Saving, displaying and converting a frame to bytes downloads 4 bytes a pixel."""
@@ -329,7 +329,7 @@ def test_writing_to_the_light_of_a_lazy_frame_changes_its_8_bit_image() -> None:
 
 
 @pytest.mark.parametrize("name", ["unlit", "unlit rays", "lit", "transparent"])
-def test_cpu_renderer_encodes_the_8_bit_image_with_the_frame_on_request(name: str) -> None:
+def test_cpu_renderer_with_the_option_encode_returns_frames_with_their_8_bit_image(name: str) -> None:
     """With ``encode``, the frame contains its bytes, which equal those encoded later."""
     renderer = ls.Renderer(SETTINGS[name], Launcher("cpu", threads=3))
     plain = renderer.render(scene(*LIGHTS, ENVIRONMENT), camera())

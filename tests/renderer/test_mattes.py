@@ -29,7 +29,9 @@ def camera() -> ls.Camera:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.PATH])
-def test_matte_of_a_mesh_edge_covers_the_fraction_of_the_pixel(camera: ls.Camera, pipeline: ls.Pipeline) -> None:
+def test_matte_of_a_mesh_at_its_edge_is_the_covered_fraction_of_the_pixel(
+    camera: ls.Camera, pipeline: ls.Pipeline
+) -> None:
     """A card that ends a quarter into a column, in front of another card, covers a quarter of the column."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125), card("back", -9.0, 9.0, depth=8.0)])
     objects = ls.layers.render_mattes(scene, camera, ls.RenderConfig(pipeline=pipeline), device="cpu").objects
@@ -41,7 +43,7 @@ def test_matte_of_a_mesh_edge_covers_the_fraction_of_the_pixel(camera: ls.Camera
         objects.coverage("side")
 
 
-def test_matte_of_a_gaussian_covers_as_much_as_its_alpha(camera: ls.Camera) -> None:
+def test_matte_of_a_capture_has_the_alpha_of_its_gaussians(camera: ls.Camera) -> None:
     """A half-opaque Gaussian covers half of the pixel; a Gaussian too thin to be a surface covers nothing."""
     ball = ls.Gaussians([(0, 0, 4)], [(1, 0, 0, 0)], [(5.0, 5.0, 5.0)], [0.5], [[(0.0, 0.0, 0.0)]])
     mattes = ls.layers.render_mattes(ls.Scene(splats=[ls.SplatInstance(ball, name="fog")]), camera, device="cpu")
@@ -53,7 +55,7 @@ def test_matte_of_a_gaussian_covers_as_much_as_its_alpha(camera: ls.Camera) -> N
     assert not ls.layers.render_mattes(ls.Scene(splats=[thin]), camera, device="cpu").objects.shares.any()
 
 
-def test_instances_of_one_name_share_one_matte(camera: ls.Camera) -> None:
+def test_instances_of_equal_name_share_one_matte(camera: ls.Camera) -> None:
     """Unnamed instances are named by their index, and their material by the object."""
     scene = ls.Scene(
         meshes=[

@@ -65,7 +65,9 @@ def dark() -> dict[ls.Pipeline, ls.Frame]:
     return {pipeline: rendered(pipeline, 0.2, catches=True) for pipeline in ls.Pipeline}
 
 
-def test_matte_ball_and_its_shadow_agree_in_five_pipelines(dark: dict[ls.Pipeline, ls.Frame]) -> None:
+def test_diffuse_ball_and_its_shadow_are_equally_bright_in_all_five_pipelines(
+    dark: dict[ls.Pipeline, ls.Frame],
+) -> None:
     """The lit side of the ball, and the floor in full shadow, half shadow and light agree within 5 %."""
     truth = dark[ls.Pipeline.PATH]
     assert truth.shadow_ratio is not None
@@ -85,7 +87,7 @@ def test_matte_ball_and_its_shadow_agree_in_five_pipelines(dark: dict[ls.Pipelin
 
 
 @pytest.mark.deep
-def test_direct_light_on_a_bright_floor_agrees_in_five_pipelines() -> None:
+def test_direct_light_on_a_bright_floor_is_equal_in_all_five_pipelines() -> None:
     """Without bounces and captured light, the lit side of a ball, its shadow and the lit floor agree within 5 %."""
     frames = {pipeline: rendered(pipeline, 0.75, catches=True, lights_only=True) for pipeline in ls.Pipeline}
     truth = frames[ls.Pipeline.HYBRID]
@@ -103,7 +105,7 @@ def test_direct_light_on_a_bright_floor_agrees_in_five_pipelines() -> None:
         assert max(means.values()) / min(means.values()) < 1.05, (name, means)
 
 
-def test_bounced_light_agrees_in_the_pipelines_that_trace_bounces() -> None:
+def test_bounced_light_is_equal_in_all_pipelines_that_trace_bounces() -> None:
     """A matte ball that a bright floor lights from below agrees within 5 %."""
     with_bounces = [rendered(pipeline, 0.75, catches=True) for pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)]
     without = rendered(ls.Pipeline.HYBRID, 0.75, catches=True)
@@ -115,7 +117,7 @@ def test_bounced_light_agrees_in_the_pipelines_that_trace_bounces() -> None:
 
 
 @pytest.mark.parametrize("number", [2, 3, 4], ids=["rough metal", "mirror", "glass"])
-def test_reflections_agree_in_the_pipelines_that_trace_rays(number: int) -> None:
+def test_reflections_are_equal_in_all_pipelines_that_trace_rays(number: int) -> None:
     """With default settings, reflections of a capture that catches no shadows agree within 5 %.
 
     Real-time mirrors are left out: they show rough metals without their reflections.
@@ -132,7 +134,7 @@ def test_reflections_agree_in_the_pipelines_that_trace_rays(number: int) -> None
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda one: one.value
 )
-def test_default_samples_antialias_meshes_and_leave_captures_unchanged(pipeline: ls.Pipeline) -> None:
+def test_frames_of_default_samples_antialias_meshes_and_leave_captures_unchanged(pipeline: ls.Pipeline) -> None:
     """Edges of a ball have intermediate values; pixels that show only the capture have the bits of the unlit frame."""
     environment = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
     lit = ls.Scene([floor(0.8, catches=False)], [replace(sphere(0.5, rows=32), material=diffuse(0.02))], [environment])

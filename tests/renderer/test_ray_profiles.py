@@ -36,7 +36,7 @@ def profiled(scene: ls.Scene, origins: np.ndarray, directions: np.ndarray, **tra
 
 
 @pytest.mark.parametrize("order", ["peak", "mean", "hull"])
-def test_ray_profiles_equal_the_float64_twin(order: str) -> None:
+def test_lists_of_gaussians_along_queried_rays_equal_the_float64_twin(order: str) -> None:
     """Index, distance, alpha and transmittance of each Gaussian are equal up to float32 rounding."""
     origins, directions = some_rays(150)
     profile = profiled(MIXED, origins, directions, hit_distance=order)
@@ -99,7 +99,7 @@ def test_ray_profiles_do_not_depend_on_the_size_of_the_hit_buffer(monkeypatch: p
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
-def test_ray_ranges_of_profiles_respect_the_limit_of_hits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray_profiles_are_computed_in_ranges_of_rays_within_the_limit_of_hits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ranges cover all rays with hits once; a range exceeds the limit only if it cannot be split."""
     monkeypatch.setattr(rays_module, "PROFILE_ROWS", 400)
     monkeypatch.setattr(rays_module, "RAY_BATCH", 96)
@@ -125,7 +125,7 @@ def test_rays_without_hits_have_empty_profiles() -> None:
     assert repr(none) == "RayProfile(rays=0, hits=0)"
 
 
-def test_ray_queries_return_profiles_only_on_request() -> None:
+def test_ray_queries_return_no_profiles_unless_the_caller_asks_for_them() -> None:
     """Without ``profile``, the result has no profile."""
     assert ls.trace_rays(ls.Scene([one_gaussian()]), (0, 0, 0), [[0.0, 0.0, 1.0]], device="cpu").profile is None
 
@@ -152,7 +152,7 @@ def test_camera_can_be_focused_on_the_surface_at_a_pixel(name: str) -> None:
     assert seen == {0, 1}
 
 
-def test_surface_in_focus_is_as_sharp_as_with_a_pinhole() -> None:
+def test_surface_on_which_a_camera_is_focused_is_sharp_and_others_are_blurred() -> None:
     """The aperture is wide; nearer objects are blurred."""
     rng = np.random.default_rng(2)
     texture = rng.integers(0, 2, (16, 16, 3), np.uint8) * 255

@@ -39,7 +39,7 @@ def test_query_of_zero_rays_in_a_lit_scene_returns_empty_arrays(pipeline: ls.Pip
     assert hits.radiance.shape == (0, 3) and len(hits) == 0
 
 
-def test_transmittance_query_is_the_product_over_gaussians_before_the_ray_end() -> None:
+def test_queried_transmittance_of_a_segment_is_the_product_over_gaussians_before_its_end() -> None:
     """The product is over the Gaussians whose mean is in front of the end of the ray."""
     scene = ls.Scene([stack(0.5, 0.8, 0.3)])
     distances = np.array([2.5, 3.5, 4.5, 5.5, math.inf])
@@ -48,7 +48,7 @@ def test_transmittance_query_is_the_product_over_gaussians_before_the_ray_end() 
     assert ls.transmittance(scene, ORIGIN, AHEAD, 3.5, device="cpu") == pytest.approx(0.5, rel=1e-5)
 
 
-def test_transmittance_query_equals_the_transmittance_of_sorted_rays() -> None:
+def test_queried_transmittance_of_a_ray_equals_that_of_blending_its_sorted_hits() -> None:
     """The product in any order equals the transmittance of sorted rays, except below the minimum transmittance."""
     rng = np.random.default_rng(5)
     scene = ls.Scene([random_gaussians(70, count=400)])
@@ -59,7 +59,7 @@ def test_transmittance_query_equals_the_transmittance_of_sorted_rays() -> None:
     np.testing.assert_allclose(through, hits.transmittance, atol=2e-4)
 
 
-def test_meshes_block_all_transmittance_of_a_query() -> None:
+def test_mesh_before_the_end_of_a_segment_makes_its_queried_transmittance_0() -> None:
     """A mesh of any material blocks; a segment that ends in front of the mesh is not blocked."""
     glass = ls.MaterialPbr(transmission=1.0, roughness=0.0)
     scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass)])
@@ -109,7 +109,7 @@ def test_results_of_ray_queries_do_not_depend_on_the_batch_size(monkeypatch: pyt
         np.testing.assert_array_equal(parts.depth, whole.depth)
 
 
-def test_ray_queries_of_many_sizes_share_buffers() -> None:
+def test_ray_queries_of_different_numbers_of_rays_reuse_the_buffers_of_the_largest() -> None:
     """Queries of many different numbers of rays use the buffers of the largest."""
     renderer, scene = tracer(), ls.Scene([stack(0.5)])
     renderer.trace_rays(scene, np.zeros((900, 3)), np.repeat(AHEAD, 900, axis=0))

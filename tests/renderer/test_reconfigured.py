@@ -127,7 +127,7 @@ def test_reconfiguring_a_differentiable_renderer_updates_its_gradients() -> None
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
-def test_developing_a_frame_with_another_tone_map_takes_no_new_samples(pipeline: str) -> None:
+def test_another_tone_map_or_exposure_is_applied_to_a_frame_without_new_samples(pipeline: str) -> None:
     """The last frame gets another tone map and exposure, from the film on the device or from the frame's arrays."""
     config = replace(BASE, pipeline=ls.Pipeline(pipeline))
     shown = replace(config, tone_map=ls.ToneMap.AGX)
@@ -155,7 +155,7 @@ def test_changing_the_tone_map_keeps_the_history_of_a_realtime_sequence() -> Non
     np.testing.assert_array_equal(changed.render(LIT, CAMERA).color, same.render(LIT, CAMERA).color)
 
 
-def test_frame_with_mesh_catchers_is_developed_from_its_images_not_the_film() -> None:
+def test_frame_with_shadow_catcher_meshes_is_tone_mapped_from_its_images_not_the_film() -> None:
     """The film does not contain the shadows on mesh catchers."""
     catcher = ls.MeshInstance(ls.box(4.0), position=(0.0, 3.0, 4.0), shadow_catcher=True)
     scene = replace(LIT, meshes=(*LIT.meshes, catcher))

@@ -38,7 +38,7 @@ def part_of(values: np.ndarray, first: int, layer: np.ndarray) -> SamplePart:
     return SamplePart(first, len(values), (1, 1), held, {})
 
 
-def test_merged_sample_sums_equal_the_sums_over_all_samples() -> None:
+def test_sums_merged_from_parts_of_a_frames_samples_equal_the_sums_over_all() -> None:
     """Counts, sums, centred squares and layer means agree in float64; parts without samples have no effect."""
     rng = np.random.default_rng(2)
     values = 5.0 + rng.normal(size=90).astype(np.float32)
@@ -57,7 +57,9 @@ def test_merged_sample_sums_equal_the_sums_over_all_samples() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.HYBRID])
-def test_frame_merged_from_two_renderers_has_the_bits_of_one_renderer(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+def test_frame_merged_from_samples_of_two_renderers_equals_that_of_one_to_the_bit(
+    pipeline: ls.Pipeline, tmp_path: Path
+) -> None:
     """The parts are rendered in any order and stored in files; a frame rendered at once is nearly equal."""
     config = settings(pipeline, shadows=ls.Shadows.SOFT, aovs=("albedo", "lights", "variance", "sample_count"))
     scene = lit_scene.scene(*lit_scene.LIGHTS, lit_scene.ENVIRONMENT)

@@ -32,7 +32,7 @@ def renderer(pipeline: ls.Pipeline) -> ls.Renderer:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_stopped_frame_does_not_change_later_frames(pipeline: ls.Pipeline) -> None:
+def test_frame_stopped_at_any_moment_does_not_change_later_frames(pipeline: ls.Pipeline) -> None:
     """Wherever a frame was stopped, the next frame and a resumed frame have the bits of a new renderer."""
     expected = renderer(pipeline).render(LIT, CAMERA)
     for count in (1, 2, 7, 30, 90):

@@ -141,16 +141,14 @@ def test_camera_refuses_invalid_windows(window: tuple[float, ...], message: str)
         ({"pipeline": "hybrid", "time_limit": 1.0}, "choose samples by the whole image"),
     ],
 )
-def test_windowed_camera_is_refused_by_settings_that_need_the_full_image(
-    settings: dict[str, Any], message: str
-) -> None:
+def test_settings_that_need_the_full_image_refuse_cameras_with_a_window(settings: dict[str, Any], message: str) -> None:
     """One message replaces pixels that would differ from the full image."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.ConfigError, match=message):
         ls.render(lit_scene.scene(), camera, ls.RenderConfig(**settings), device="cpu")
 
 
-def test_gradients_and_scaling_refuse_windowed_cameras() -> None:
+def test_gradients_and_the_method_scaled_refuse_cameras_with_a_window() -> None:
     """Gradients need the full image, and a camera must be scaled before its window is set."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.SceneError, match="need the whole image"):

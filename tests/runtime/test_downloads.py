@@ -25,7 +25,7 @@ def vectors_of(*rows: tuple[float, float, float]) -> DeviceArray:
 
 
 @pytest.mark.parametrize("is_lazy", [False, True])
-def test_writes_after_copying_do_not_change_a_device_copy(is_lazy: bool) -> None:
+def test_device_copy_of_an_array_keeps_its_values_when_the_array_is_overwritten(is_lazy: bool) -> None:
     """The copy has the values at the time of copying, whenever and however it is read."""
     lender, color, alpha = Downloads(is_lazy=is_lazy), vectors_of((1, 2, 3), (4, 5, 6)), array_of(0.5, 0.25)
     copies = lender.copies({"color": color, "alpha": alpha})
@@ -58,7 +58,7 @@ def test_reading_part_of_a_device_copy_downloads_only_that_part(monkeypatch: pyt
     assert lender.lent == {"host": 1, "device": 1}
 
 
-def test_host_blocks_with_a_live_view_are_not_reused() -> None:
+def test_host_memory_of_a_download_is_not_reused_while_a_view_of_it_exists() -> None:
     """A single NumPy view keeps the host block in use; the next copies use other memory."""
     lender, source = Downloads(is_lazy=True), array_of(1.0, 2.0, 3.0, 4.0)
     part = lender.copies({"a": source}).words("a", 1, 2).reshape(2, 1)
@@ -72,7 +72,7 @@ def test_host_blocks_with_a_live_view_are_not_reused() -> None:
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_host_block_of_a_dropped_frame_is_reused_by_the_next_frame() -> None:
+def test_host_memory_of_a_dropped_frame_is_reused_by_the_next_frame() -> None:
     """A frame of another size gets a new block."""
     lender, source = Downloads(is_lazy=True), array_of(1.0, 2.0)
     first = lender.copies({"a": source}).words("a")
@@ -87,7 +87,7 @@ def test_host_block_of_a_dropped_frame_is_reused_by_the_next_frame() -> None:
     assert lender.device_bytes == 12
 
 
-def test_number_of_frames_that_wait_on_the_device_is_limited() -> None:
+def test_further_frames_are_downloaded_at_once_if_many_wait_on_the_device() -> None:
     """If a program keeps many frames, the first few stay on the device, and the others are downloaded at once."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(float(number))}) for number in range(FRAME_BLOCKS_MAX + 2)]
@@ -106,7 +106,7 @@ def test_number_of_frames_in_page_locked_memory_is_limited() -> None:
     assert [float(image[0]) for image in held] == list(range(FRAME_BLOCKS_MAX + 2))
 
 
-def test_frames_are_downloaded_at_once_if_the_device_memory_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frame_is_downloaded_at_once_if_device_memory_has_no_room_for_its_copy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without device memory for a second copy, the frame is downloaded at once."""
 
     def refuse(*_: object, **__: object) -> None:
@@ -120,7 +120,9 @@ def test_frames_are_downloaded_at_once_if_the_device_memory_is_full(monkeypatch:
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_garbage_collection_may_return_a_memory_block_while_another_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_garbage_collection_while_a_memory_block_is_taken_may_return_another_block(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A garbage collection on the same thread may return a block while one is taken, without deadlock or loss."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)})]
@@ -137,7 +139,7 @@ def test_garbage_collection_may_return_a_memory_block_while_another_is_taken(mon
     assert lender.device_bytes == 16  # includes returned blocks, until a frame of another size
 
 
-def test_concurrent_threads_respect_the_limit_of_memory_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_that_take_memory_blocks_at_once_do_not_exceed_their_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two threads compete for the last block while the first thread is still allocating; only one gets the block."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)}) for _ in range(FRAME_BLOCKS_MAX - 1)]

@@ -90,7 +90,7 @@ def test_kernel_cache_folder_inside_a_file_raises_an_error_with_the_reason(kerne
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
-def test_header_folders_of_killed_compilations_are_removed(tmp_path, monkeypatch) -> None:
+def test_precompiled_header_folders_of_killed_compilations_are_removed(tmp_path, monkeypatch) -> None:
     """Folders of dead processes and old folders without an owner are removed; those of living processes stay."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
@@ -108,7 +108,7 @@ def test_header_folders_of_killed_compilations_are_removed(tmp_path, monkeypatch
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
-def test_compilation_writes_its_process_id_to_its_header_folder(kernel) -> None:
+def test_compilation_writes_its_process_id_to_its_precompiled_header_folder(kernel) -> None:
     """The header folder of Warp's compiler contains the id of the compiling process."""
     folder = wp._src.context.runtime.get_clang_pch_dir()  # pyright: ignore[reportPrivateUsage, reportAttributeAccessIssue]
     assert Path(cast(str, folder), "lumisplat.pid").read_text() == f"{os.getpid()}"

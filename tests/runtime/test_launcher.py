@@ -34,7 +34,7 @@ def test_thread_ranges_of_a_launch_cover_every_item_once(count: int, bands: int 
     np.testing.assert_array_equal(order.numpy(), np.arange(count))
 
 
-def test_stage_times_accumulate_under_the_name_of_the_stage() -> None:
+def test_times_of_a_stage_that_runs_twice_are_added_up() -> None:
     """A stage that runs twice is reported once, with the sum of its times."""
     launcher = Launcher("cpu")
     for _ in range(2):
@@ -72,7 +72,7 @@ def joining(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     return event
 
 
-def test_failed_launch_waits_for_the_threads_that_still_run(joining: threading.Event) -> None:
+def test_failed_kernel_launch_raises_its_error_only_after_all_threads_have_ended(joining: threading.Event) -> None:
     """When one range of items fails, no other starts, and none still writes to arrays once the error is raised."""
     started = threading.Event()
     begun: list[int] = []
@@ -139,7 +139,7 @@ def test_time_of_nested_stages_is_not_counted_twice() -> None:
     assert launcher.stage_ms == pytest.approx({"outer": 3.0, "inner": 20.0})
 
 
-def test_stages_are_timed_separately_for_each_pass():
+def test_stage_that_runs_in_two_passes_has_a_separate_time_for_each():
     """A stage that runs in two passes has two times; time outside stages counts for the pass."""
     launcher, now = Launcher("cpu", threads=1), [5.0]
     launcher.clock = lambda: now[0]
@@ -152,7 +152,7 @@ def test_stages_are_timed_separately_for_each_pass():
     assert launcher.stage_ms["first: work"] == pytest.approx(1.0)
 
 
-def test_devices_without_memory_pools_capture_no_graphs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_cuda_graphs_are_captured_on_devices_without_memory_pools(monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that cannot allocate during capture launches each kernel every time; frame three equals the first."""
     launcher, runs = Launcher("cpu"), []
     launcher.is_cuda = True
@@ -163,7 +163,7 @@ def test_devices_without_memory_pools_capture_no_graphs(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(("enabled", "before", "after"), [(True, 0, 2**30), (True, 2**31, 2**31), (False, 0, 0)])
-def test_memory_pool_of_a_gpu_retains_scratch_memory(
+def test_memory_pool_of_a_gpu_keeps_freed_scratch_memory_for_later_use(
     monkeypatch: pytest.MonkeyPatch, enabled: bool, before: int, after: int
 ) -> None:
     """The pool retains memory across waits, and never less than the program has set."""
@@ -189,7 +189,7 @@ def test_loading_kernels_reports_progress_after_every_module() -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_kernel_compile_error_reaches_the_caller(
+def test_error_of_a_kernel_compilation_is_raised_to_the_caller(
     threads: int, joining: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The error of one module is raised, and pending modules are not compiled."""

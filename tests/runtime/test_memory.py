@@ -60,7 +60,7 @@ V1 = [("/", "cpu", "cgroup", "rw,cpu"), ("/", "fs", "cgroup", "rw,memory"), ("/"
         "v1 Slurm", "v1 parent", "v1 without a limit", "v1 in a container", "v2 seen from outside",
     ],
 )  # fmt: skip
-def test_usable_memory_is_the_smallest_limit_of_machine_and_control_groups(
+def test_usable_memory_is_the_smaller_of_machine_memory_and_control_group_limits(
     system, cgroup, mounts, limits, expected
 ) -> None:
     """Limits of parent groups count; limits of other groups and of other controllers do not."""

@@ -18,7 +18,7 @@ def ints(values: list[int]) -> DeviceArray:
     return DeviceArray(np.array(values, np.int32), dtype=wp.int32, device="cpu")
 
 
-def test_device_sort_is_stable_and_compares_only_the_given_bits() -> None:
+def test_device_sort_is_stable_and_compares_only_the_given_number_of_low_key_bits() -> None:
     """Only the low bits of keys are compared; values of equal keys keep their order."""
     keys, values = ints([7, 1, 6, 2, 0, 0, 0, 0]), ints([0, 1, 2, 3, 9, 9, 9, 9])
     sort_pairs(keys, values, 4, bits=1)

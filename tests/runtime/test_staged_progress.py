@@ -7,7 +7,7 @@ import pytest
 from lumisplat.progress import StagedProgress
 
 
-def test_staged_progress_follows_the_expected_costs_of_the_stages() -> None:
+def test_progress_over_several_stages_is_divided_by_their_expected_costs() -> None:
     """Pieces before the first stage are not reported; progress waits at the end of a stage, or jumps to it."""
     reports: list[tuple[str, float]] = []
     progress = StagedProgress(lambda *now: reports.append(now), "work")
@@ -25,7 +25,7 @@ def test_staged_progress_follows_the_expected_costs_of_the_stages() -> None:
     assert [share for _, share in reports] == pytest.approx([0.0, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.6])
 
 
-def test_staged_progress_stays_below_one() -> None:
+def test_progress_over_several_stages_stays_below_one() -> None:
     """At the end of the last stage, and with expected costs of 0, progress is still below 1."""
     reports: list[float] = []
     progress = StagedProgress(lambda _, share: reports.append(share), "work")

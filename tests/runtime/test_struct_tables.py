@@ -19,7 +19,7 @@ def attributes(count: int) -> SplatAttributes:
     return row
 
 
-def test_struct_tables_upload_their_rows_in_order() -> None:
+def test_device_table_of_structs_has_the_given_rows_in_order() -> None:
     """Each row of the table is the given struct, with the addresses of its arrays."""
     rows = [attributes(count) for count in (3, 1, 2)]
     table = upload_structs(rows, SplatAttributes, "cpu")
@@ -28,14 +28,14 @@ def test_struct_tables_upload_their_rows_in_order() -> None:
     np.testing.assert_array_equal(stored["scales"]["data"], [row.scales.ptr for row in rows])
 
 
-def test_empty_struct_table_has_a_valid_address() -> None:
+def test_device_table_of_structs_without_rows_has_a_valid_address() -> None:
     """A table without rows has one struct with empty arrays."""
     table = upload_structs([], SplatAttributes, "cpu")
     assert table.ptr
     assert table.numpy()["scales"]["data"].tolist() == [0]
 
 
-def test_struct_tables_keep_the_arrays_of_their_rows_alive() -> None:
+def test_arrays_named_in_a_device_table_of_structs_live_as_long_as_the_table() -> None:
     """The table contains addresses, so that the arrays must not be freed before the table."""
     row = attributes(4)
     array = weakref.ref(row.scales)

@@ -170,7 +170,7 @@ def test_farm_continues_without_workers_that_cannot_start(tmp_path: Path, caplog
     assert len(farm.finished) == 9 and "a worker could not start: lost.ply: no such file" in caplog.messages
 
 
-def test_farm_replaces_workers_that_die_while_starting_only_once(tmp_path: Path) -> None:
+def test_farm_stops_after_two_workers_in_a_row_die_while_starting(tmp_path: Path) -> None:
     """Two failed starts in a row end the job."""
     farm = Farm(tmp_path, 9, lambda *_: died("it could not start"), workers=1)
     with pytest.raises(ls.DeviceError, match="a worker ended before it was ready: it could not start"):
@@ -193,7 +193,7 @@ def test_farm_workers_continue_if_a_scene_file_is_deleted(tmp_path: Path, caplog
     assert len(farm.finished) >= 5
 
 
-def test_farm_does_not_use_a_worker_with_different_scene_files(tmp_path: Path, caplog: Any) -> None:
+def test_farm_gives_no_frames_to_a_worker_whose_scene_files_differ_from_the_first(tmp_path: Path, caplog: Any) -> None:
     """The log line names the difference: mixed frames would be worse than fewer workers."""
     farm = Farm(tmp_path, 9)
     other = replace(farm.frames, provenance=farm.frames.provenance | {"needs": "older.ply"})
@@ -212,7 +212,9 @@ def test_farm_refuses_several_workers_for_a_realtime_sequence(tmp_path: Path) ->
     assert [index for _, index in farm.ray.given] == list(range(9))
 
 
-def test_farm_logs_equal_lines_of_workers_once_and_names_the_machine_of_errors(tmp_path: Path, caplog: Any) -> None:
+def test_farm_logs_a_line_of_several_workers_once_and_names_the_machine_of_an_error(
+    tmp_path: Path, caplog: Any
+) -> None:
     """An error of a worker on another machine names the machine."""
     farm = Farm(tmp_path, 2)
     farm.ray.does = farm._does(
@@ -287,7 +289,7 @@ def test_farm_ends_a_hanging_worker_after_the_frame_timeout(tmp_path: Path, capl
         ({"cpus": 16, "workers": 2, "address": LOCAL}, {"num_cpus": 8}, 2),
     ],
 )
-def test_farm_workers_get_gpus_or_cores_of_the_cluster(
+def test_farm_workers_request_gpus_if_the_cluster_has_any_and_else_cpu_cores(
     tmp_path: Path, changes: dict[str, Any], needs: dict[str, float], count: int
 ) -> None:
     """Each worker has a GPU if the cluster has any, shared if it has fewer GPUs than workers.

@@ -74,7 +74,7 @@ def test_farm_train_settings_file_sets_options_per_image_folder(ray: Any, tmp_pa
     assert [path.read_text() for path in others] == ["mine", "mine"]
 
 
-def test_farm_train_continues_a_training_that_stop_after_ended(
+def test_farm_train_continues_a_training_interrupted_by_the_stop_after_option(
     ray: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """``--stop-after`` leaves an unfinished capture and reports it; the same command continues to equal bits."""

@@ -97,7 +97,7 @@ def test_frame_folder_of_a_run_without_frames_yet_is_not_overwritten(tmp_path: P
     folder.check_current({"seed": "2", "samples": "8"})
 
 
-def test_last_run_gets_the_frame_folder_if_hard_links_are_missing(
+def test_last_started_run_owns_the_frame_folder_on_file_systems_without_hard_links(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Some file systems have no hard links."""

@@ -39,7 +39,7 @@ def images(work: Workspace, folder: str) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("*.png"))}
 
 
-def test_frame_ranges_of_an_orbit_equal_the_whole_orbit(work) -> None:
+def test_orbit_rendered_in_several_frame_ranges_equals_the_whole_orbit(work) -> None:
     """Numbers, ranges and steps may come in any order; the output counts only the requested frames."""
     assert orbit(work, "whole").status == 0
     for part, count in (("1-5x2", 3), ("0,4", 2), ("2", 1)):
@@ -55,7 +55,7 @@ def render(work: Workspace, folder: str, *options: str):
     return work.run("render", "@capture.ply", "-o", f"@{folder}", *options)
 
 
-def test_render_resume_keeps_images_of_the_same_settings_only(work) -> None:
+def test_render_resume_keeps_images_of_equal_settings_and_refuses_those_of_others(work) -> None:
     """Without --resume, all images are rendered anew."""
     assert render(work, "whole").status == 0
     assert render(work, "out", "--resume", "--frames", "1").status == 0
@@ -125,7 +125,7 @@ def test_run_stops_if_another_run_starts_in_its_frame_folder(tmp_path: Path) -> 
         assert not list((tmp_path / "out").glob("*.png"))
 
 
-def test_stopped_run_leaves_the_frames_of_the_run_that_replaced_it(tmp_path: Path) -> None:
+def test_run_that_another_run_replaced_does_not_overwrite_frames_of_the_other(tmp_path: Path) -> None:
     """A frame that the other run has written is not overwritten."""
     job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
     theirs = replace(job.frames, provenance={"kind": "other"})
@@ -141,7 +141,7 @@ def test_stopped_run_leaves_the_frames_of_the_run_that_replaced_it(tmp_path: Pat
     assert theirs.folder.path(3).read_text() == "theirs"
 
 
-def test_kill_while_old_frames_are_removed_leaves_no_stored_settings(tmp_path: Path, monkeypatch) -> None:
+def test_settings_file_is_removed_before_old_frames_so_that_a_kill_leaves_none(tmp_path: Path, monkeypatch) -> None:
     """The file of settings is removed first, so that old frames are not taken for new ones."""
     maker = FakeMaker(tmp_path / "out")
     make_frames(maker.open_frames(lambda *_: None), lambda *_: None, overwrite=False, video=None, fewer="")
@@ -177,7 +177,7 @@ def alone(job: FrameJob) -> str:
         ({5: "full"}, FramesMissingError),
     ],
 )
-def test_failed_frames_have_another_exit_status_than_mistakes(
+def test_exit_status_is_3_if_some_frames_failed_and_2_for_mistakes_of_the_user(
     tmp_path: Path, wrong: dict[int, str], kind: type[Exception]
 ) -> None:
     """Errors of all frames are mistakes with exit status 2; errors of one frame or of the disk have status 3."""

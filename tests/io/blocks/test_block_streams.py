@@ -55,7 +55,7 @@ def test_streaming_a_ply_gives_2d_gaussians_the_tiny_third_scale_of_load(tmp_pat
     np.testing.assert_array_equal(piece.scales, loaded.scales)
 
 
-def test_streaming_a_ply_refuses_or_drops_invalid_gaussians(
+def test_streaming_a_ply_refuses_invalid_gaussians_unless_told_to_drop_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The error names the first and last row of a chunk with invalid Gaussians; one log line counts dropped ones."""
@@ -77,7 +77,7 @@ def test_streaming_a_ply_refuses_or_drops_invalid_gaussians(
     ]
 
 
-def test_streaming_refuses_unsupported_plys_and_drops_materials(
+def test_streaming_a_ply_into_blocks_refuses_unsupported_plys_and_drops_materials(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Each refusal is one line, and so is the log line about dropped materials."""
@@ -161,7 +161,7 @@ def test_second_process_writing_blocks_to_one_folder_is_refused(tmp_path: Path) 
     assert loaded.count == 400 and index.count == 400
 
 
-def test_load_reads_blocks_at_a_level_within_a_budget_or_thinned(
+def test_load_reads_a_folder_of_blocks_at_a_given_level_or_gaussian_budget(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """`load` takes the folder or its index; thinning a capture takes Gaussians from every block."""
@@ -196,7 +196,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory in kB as Linux says it")
-def test_writing_blocks_from_a_stream_needs_memory_for_few_chunks(tmp_path: Path) -> None:
+def test_writing_blocks_from_a_ply_stream_holds_only_a_few_chunks_in_memory(tmp_path: Path) -> None:
     """A million Gaussians (60 MB) are divided into blocks with memory for a few chunks of 16,384 Gaussians."""
     one = random_gaussians(1, count=2**16, degree=0, extent=(50.0, 5.0, 50.0))
     ls.save(tmp_path / "one.ply", one)

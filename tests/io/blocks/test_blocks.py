@@ -175,7 +175,7 @@ def test_distant_blocks_are_loaded_at_coarser_levels_of_detail(tmp_path: Path) -
     assert ls.io.load_blocks(index, parts).count < index.count
 
 
-def test_view_plans_load_blocks_once_if_memory_holds_them(tmp_path: Path) -> None:
+def test_plan_of_views_loads_a_block_again_only_if_blocks_exceed_the_memory(tmp_path: Path) -> None:
     """Blocks that exceed the memory are loaded again for later views.
 
     A view that does not fit is split into windows.

@@ -75,7 +75,7 @@ def test_focal_length_follows_from_angle_of_view_and_image_size(tmp_path: Path) 
     assert camera.fy == pytest.approx(20.0)
 
 
-def test_caller_may_give_an_image_size_that_a_camera_file_lacks(tmp_path: Path) -> None:
+def test_load_cameras_uses_the_callers_image_size_only_if_the_file_has_none(tmp_path: Path) -> None:
     """The caller's size is used only if neither the camera file nor an image states one."""
     (tmp_path / "a.json").write_text(json.dumps({"camera_angle_x": 0.5 * math.pi, "frames": [FRAME]}))
     (camera,) = ls.load_cameras(tmp_path / "a.json", width=40, height=30)
@@ -153,7 +153,7 @@ def test_saved_transforms_json_keeps_the_camera_model(tmp_path: Path, model: ls.
         ({"model": ls.CameraModel.FISHEYE}, "one camera model, got fisheye and pinhole"),
     ],
 )
-def test_save_cameras_refuses_apertures_shutters_and_mixed_models(
+def test_save_cameras_refuses_apertures_rolling_shutters_and_several_camera_models(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     """The error names the camera and its rolling shutter, aperture or other model, and no file is written."""
@@ -258,7 +258,7 @@ def test_invalid_camera_files_are_refused(tmp_path: Path, content: object, expec
     assert "\n" not in str(raised.value)
 
 
-def test_loading_cameras_reports_missing_files_and_folders_by_message(tmp_path: Path) -> None:
+def test_load_cameras_has_different_errors_for_missing_files_and_for_folders(tmp_path: Path) -> None:
     """The two messages are "no such file" and "is a folder"."""
     with pytest.raises(FormatError, match="no such file"):
         load_cameras(tmp_path / "none.json")

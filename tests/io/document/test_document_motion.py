@@ -92,7 +92,7 @@ def assert_same_animation(mine: ls.Animation | None, other: ls.Animation) -> Non
         assert_same_camera(camera, same)
 
 
-def test_document_animation_equals_the_animation_loaded_from_the_file(file: Path) -> None:
+def test_animation_of_a_document_equals_that_of_load_animation_for_its_file(file: Path) -> None:
     """The animation's scene has each static object once and no actor; hiding an entry removes its actor."""
     document = ls.io.SceneDocument.open(file)
     assert_same_animation(document.animation, ls.load_animation(file))
@@ -101,7 +101,7 @@ def test_document_animation_equals_the_animation_loaded_from_the_file(file: Path
     assert not present(hidden.animation).actors and len(present(hidden.animation).scene.splats) == 1
 
 
-def test_document_made_of_an_animation_keeps_lighting_and_cameras(file: Path) -> None:
+def test_document_created_from_an_animation_has_its_lighting_settings_and_cameras(file: Path) -> None:
     """The moving camera is not listed among the fixed cameras."""
     animation = ls.load_animation(file)
     document = ls.io.SceneDocument.of(animation)
@@ -110,7 +110,7 @@ def test_document_made_of_an_animation_keeps_lighting_and_cameras(file: Path) ->
     assert [camera.name for camera in document.cameras] == ["front", "flight"]
 
 
-def test_document_names_cameras_that_scene_files_cannot_store() -> None:
+def test_documents_leave_out_and_name_cameras_that_scene_files_cannot_store() -> None:
     """Scene files store neither off-centre principal points nor camera paths without targets."""
     camera = ls.Camera.look_at((0, 0, 5), (0, 0, 0), name="good")
     off = ls.Camera(

@@ -29,7 +29,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.usefixtures("folder")
-def test_giving_an_entry_a_material_keeps_its_cropped_gaussians() -> None:
+def test_changing_the_material_of_a_document_entry_does_not_crop_its_capture_again() -> None:
     """The capture is neither cropped again, nor is its kernel degree set again."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added(
         "splats", {"path": "capture.ply", "kernel_degree": 4, "material": {"roughness": 0.3}, **BOX}
@@ -50,7 +50,9 @@ def test_giving_an_entry_a_material_keeps_its_cropped_gaussians() -> None:
     ],
 )
 @pytest.mark.usefixtures("folder")
-def test_moving_an_entry_keeps_its_mesh_capture_and_material_objects(kind: EntryKind, table: dict[str, object]) -> None:
+def test_moving_a_document_entry_keeps_its_capture_mesh_and_material_in_memory(
+    kind: EntryKind, table: dict[str, object]
+) -> None:
     """The moved entry is a capture with a material, a shape, or a mesh file with another material."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added(kind, table)
     before, after = (d.entry(number) for d in (document, document.placed(number, MOVED)))
@@ -62,7 +64,7 @@ def test_moving_an_entry_keeps_its_mesh_capture_and_material_objects(kind: Entry
 
 
 @pytest.mark.usefixtures("folder")
-def test_editing_a_light_keeps_the_posed_objects_of_actors() -> None:
+def test_editing_a_light_of_a_document_does_not_pose_its_actors_again() -> None:
     """An actor's pose at one time stays the same object; a pose at another time is a new object."""
     document, _ = ls.io.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
     document, light = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
@@ -72,7 +74,7 @@ def test_editing_a_light_keeps_the_posed_objects_of_actors() -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_documents_free_the_captures_of_superseded_crops() -> None:
+def test_documents_free_captures_of_former_crop_boxes_from_memory() -> None:
     """Dragging a crop box makes a new capture at each step, of hundreds of megabytes per million Gaussians."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added("splats", {"path": "capture.ply", **BOX})
     left: list[weakref.ref[ls.Gaussians]] = []
@@ -83,7 +85,7 @@ def test_documents_free_the_captures_of_superseded_crops() -> None:
     assert not [one for one in left if one() is not None]
 
 
-def test_document_edits_do_not_check_large_arrays_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_document_edits_do_not_validate_unchanged_large_arrays_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A new mesh material and a rotated environment check at most the 16 numbers of a matrix."""
     scene = ls.Scene(meshes=[ls.sphere(1.0)], lights=[ls.LightEnvironment(np.ones((4, 8, 3), np.float32))])
     document = ls.io.SceneDocument.of(scene)

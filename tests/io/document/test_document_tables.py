@@ -92,7 +92,7 @@ def test_documents_write_numpy_numbers_as_toml_numbers() -> None:
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_documents_save_the_enabled_one_of_several_environments(order: tuple[int, int], tmp_path: Path) -> None:
+def test_document_with_several_environments_saves_only_the_enabled_one(order: tuple[int, int], tmp_path: Path) -> None:
     """A scene may have several environments, a scene file only a single one."""
     environments = [ls.LightEnvironment(intensity=1.0, enabled=False), ls.LightEnvironment(intensity=5.0)]
     document = ls.io.SceneDocument.of(ls.Scene(lights=[environments[k] for k in order]))

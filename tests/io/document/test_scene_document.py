@@ -140,7 +140,7 @@ def test_document_with_edits_of_every_kind_loads_as_edited(folder: Path) -> None
     assert (folder / "scene.toml").read_text() == SCENE
 
 
-def test_documents_overwrite_an_existing_scene_file_only_on_request(folder: Path) -> None:
+def test_documents_refuse_to_overwrite_a_scene_file_unless_overwrite_is_given(folder: Path) -> None:
     """Files without the extension .toml are refused."""
     document = ls.io.SceneDocument.open(folder / "scene.toml").removed(3)
     with pytest.raises(ls.FormatError, match="exists already"):
@@ -183,7 +183,7 @@ def test_invalid_document_edits_name_the_key_and_change_nothing(folder: Path) ->
     assert document.entries is entries
 
 
-def test_document_instance_numbers_skip_hidden_entries(folder: Path) -> None:
+def test_instances_of_a_document_are_numbered_without_its_hidden_entries(folder: Path) -> None:
     """`owner` numbers captures first, then meshes; hidden lights are disabled."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     assert [document.owner(number).id for number in range(3)] == [0, 1, 1]
@@ -195,7 +195,7 @@ def test_document_instance_numbers_skip_hidden_entries(folder: Path) -> None:
         hidden.owner(2)
 
 
-def test_splitting_a_mesh_entry_leaves_the_scene_unchanged(folder: Path) -> None:
+def test_splitting_a_document_entry_into_its_meshes_leaves_the_scene_unchanged(folder: Path) -> None:
     """The meshes of the file keep their transforms and materials."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     split = document.split(1)
@@ -342,7 +342,7 @@ def tilted(degrees: float) -> np.ndarray:
     return np.array([0.0, -math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
 
 
-def test_upright_document_objects_stay_upright_when_up_changes(tmp_path: Path) -> None:
+def test_upright_objects_of_a_document_rotate_with_its_up_direction(tmp_path: Path) -> None:
     """Upright objects rotate about their foot and keep their size; captures, lights and tilted objects stay."""
     ls.save(tmp_path / "row.ply", row())
     (tmp_path / "two.obj").write_text(TWO)
@@ -382,7 +382,7 @@ def test_upright_document_objects_stay_upright_when_up_changes(tmp_path: Path) -
         np.testing.assert_allclose(one.transform, other.transform, atol=1e-9)
 
 
-def test_placements_of_meshes_stay_when_up_of_a_mesh_scene_changes(tmp_path: Path) -> None:
+def test_changing_up_of_a_document_of_meshes_leaves_their_transforms_unchanged(tmp_path: Path) -> None:
     """Placement keys such as `upright` are replaced by numbers, which do not depend on up."""
     (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\nupright = true\nground = 1.0\n')
     before = ls.io.SceneDocument.open(tmp_path / "scene.toml")
@@ -395,7 +395,7 @@ def test_placements_of_meshes_stay_when_up_of_a_mesh_scene_changes(tmp_path: Pat
     np.testing.assert_allclose(saved.meshes[0].transform, before.scene().meshes[0].transform, atol=1e-9)
 
 
-def test_upright_environments_rotate_when_up_of_a_document_changes(tmp_path: Path) -> None:
+def test_upright_environments_of_a_document_rotate_with_its_up_direction(tmp_path: Path) -> None:
     """A tilted environment was rotated on purpose and stays."""
     write_radiance(tmp_path / "sky.exr", np.ones((4, 8, 3), np.float32))
     text = '[[splats]]\npath = "row.ply"\n[environment]\npath = "sky.exr"\nrotation_wxyz = [{}, 1.0, 0.0, 0.0]\n'

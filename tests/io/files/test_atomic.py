@@ -68,7 +68,7 @@ def test_failed_write_of_several_files_leaves_none_of_them(
     assert list(folder.iterdir()) == [folder / "notes.txt"]
 
 
-def test_write_errors_without_an_error_number_suggest_a_full_disk(tmp_path: Path) -> None:
+def test_errors_of_writing_that_lack_an_error_number_suggest_a_full_disk(tmp_path: Path) -> None:
     """NumPy raises an error without a number if a full disk truncates an array."""
     message = "cannot be written: 400 requested and 16 written: is the disk full"
     with pytest.raises(FormatError, match=message), atomic_write(tmp_path / "a.npy"):

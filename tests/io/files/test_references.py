@@ -70,7 +70,7 @@ def referrer(request) -> tuple[Callable[[Path, str], Path], bytes]:
 
 
 @pytest.mark.parametrize("absolute", [False, True])
-def test_files_may_reference_files_outside_their_folder_only_if_allowed(
+def test_references_to_files_outside_a_files_folder_are_refused_by_default(
     tmp_path: Path, referrer, absolute: bool
 ) -> None:
     """References outside the folder are refused before the referenced file is read."""
@@ -85,7 +85,7 @@ def test_files_may_reference_files_outside_their_folder_only_if_allowed(
     ls.load(path, allow_outside=True)
 
 
-def test_backslashes_in_references_are_slashes_unless_a_file_has_them(tmp_path: Path, referrer) -> None:
+def test_backslashes_in_referenced_paths_count_as_slashes_unless_such_a_file_exists(tmp_path: Path, referrer) -> None:
     """Windows programs write backslashes; a path with backslashes cannot leave the folder either."""
     write, content = referrer
     (tmp_path / "model" / "my files").mkdir(parents=True)
@@ -127,7 +127,7 @@ def test_mtl_libraries_may_use_textures_in_the_folder_of_their_obj(tmp_path: Pat
     assert mesh.material.base_color_texture is not None
 
 
-def test_symbolic_links_and_paths_of_scene_files_may_leave_the_folder(tmp_path: Path) -> None:
+def test_scene_files_and_symbolic_links_may_refer_to_files_in_other_folders(tmp_path: Path) -> None:
     """A scene file may refer to any file; a mesh file that it loads may not."""
     (tmp_path / "model").mkdir()
     (tmp_path / "wood.png").write_bytes(png_bytes())
@@ -188,7 +188,7 @@ def test_scene_files_refuse_pipes_and_devices_in_every_path_entry(tmp_path: Path
         read(tmp_path / "scene.toml")
 
 
-def test_named_pipe_as_camera_image_counts_as_missing_image(tmp_path: Path) -> None:
+def test_named_pipe_in_place_of_the_image_of_a_camera_counts_as_missing(tmp_path: Path) -> None:
     """The camera has no size, so the size of its image is needed, which a pipe does not have."""
     os.mkfifo(tmp_path / "image.png")
     frame = {"file_path": "image.png", "transform_matrix": np.eye(4).tolist()}

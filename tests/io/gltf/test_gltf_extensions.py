@@ -122,7 +122,7 @@ def test_gltf_mesh_instances_have_translation_rotation_and_scale(tmp_path: Path)
         np.testing.assert_allclose(QUAD @ one.transform[:3, :3].T + one.transform[:3, 3], expected, atol=1e-6)
 
 
-def test_gltf_instance_attributes_are_optional_or_normalized_integers(tmp_path: Path) -> None:
+def test_attributes_of_gltf_instances_are_optional_and_may_be_normalized_integers(tmp_path: Path) -> None:
     """Rotations may be integers and scales the only attribute; instances of scale 0 are hidden."""
     rotations = np.array([(0, 0, 0, 127), (0, 127, 0, 0)], np.int8)
     scene = loaded(tmp_path, instanced(quad_gltf(), ROTATION=rotations))
@@ -131,7 +131,7 @@ def test_gltf_instance_attributes_are_optional_or_normalized_integers(tmp_path: 
     assert len(scene.meshes) == 1 and scene.meshes[0].transform[0, 0] == 2.0
 
 
-def test_gltf_instancing_applies_to_captures_and_animated_meshes(tmp_path: Path) -> None:
+def test_gltf_instancing_repeats_captures_and_animated_meshes_as_well(tmp_path: Path) -> None:
     """Every instance of an animated mesh moves."""
     positions = np.array([(0, 0, 0), (3, 0, 0)], np.float32)
     scene = loaded(tmp_path, instanced(splat_gltf(), TRANSLATION=positions))
@@ -208,7 +208,9 @@ def test_unknown_gltf_extensions_are_logged_by_name(
     assert caplog.messages == [f"{tmp_path / 'a.glb'}: extensions not read, though they may change the image: {name}"]
 
 
-def test_unsupported_gltf_specular_colours_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_gltf_specular_colour_factors_are_ignored_with_a_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Only the factor of KHR_materials_specular is read."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["extensions"] = {

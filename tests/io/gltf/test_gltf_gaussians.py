@@ -108,7 +108,9 @@ def test_normalized_integer_attributes_of_gltf_gaussians_are_fractions(
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_integer_scales_of_gltf_gaussians_are_scene_units(tmp_path: Path, dtype: type[np.integer]) -> None:
+def test_integer_scales_of_gltf_gaussians_are_lengths_not_normalized_fractions(
+    tmp_path: Path, dtype: type[np.integer]
+) -> None:
     """A scale of 0 becomes the smallest allowed scale."""
     integers = np.array([[1, 2, 3], [0, 9, 200]], dtype)
     gltf = splat_gltf(stored_values(2) | {"SCALE": integers})
@@ -201,7 +203,7 @@ def test_interleaved_and_sparse_attributes_of_gltf_gaussians_are_read(tmp_path: 
 # --- Nodes ---
 
 
-def test_gltf_node_transform_applies_to_a_single_capture(tmp_path: Path) -> None:
+def test_transform_of_a_gltf_node_applies_to_the_gaussians_of_a_single_capture(tmp_path: Path) -> None:
     """Rotation, uniform scale and translation act as `transform` on means, covariances and SH."""
     values = stored_values(degree=3)
     gltf = splat_gltf(values)
@@ -367,7 +369,7 @@ def test_unknown_kernels_and_colour_spaces_of_gltf_gaussians_are_refused(
         ("SCALE", np.full((5, 3), np.nan, np.float32), "5 NaN or infinite values in scale_0"),
     ],
 )
-def test_invalid_attributes_of_gltf_gaussians_are_refused_by_name(
+def test_error_for_an_invalid_attribute_of_gltf_gaussians_names_it(
     tmp_path: Path, name: str, array: np.ndarray | None, problem: str
 ) -> None:
     """The attribute is missing, of another type, too short or holds invalid values."""
@@ -395,7 +397,7 @@ def test_drop_invalid_drops_invalid_gaussians_of_gltf_files(tmp_path: Path, capl
     assert "dropped 1 of 5 Gaussians" in caplog.text
 
 
-def test_gltf_material_attributes_are_read_only_from_files_of_lumisplat(tmp_path: Path) -> None:
+def test_material_attributes_of_gltf_gaussians_by_other_programs_are_ignored(tmp_path: Path) -> None:
     """Custom attributes of other programs are ignored; in files of Lumisplat, values out of range are refused."""
     values = stored_values() | {"_ROUGHNESS": np.full(5, 3.0, np.float32)}
     gltf = splat_gltf(values)

@@ -91,7 +91,7 @@ def test_animations_of_gltf_parents_and_children_are_composed(tmp_path: Path) ->
     np.testing.assert_allclose(corners(moving, 1.0), [(0, 1, 0), (0, 4, 0), (-1, 1, 0)], atol=1e-6)
 
 
-def test_static_gltf_nodes_form_the_scene_of_an_animation(tmp_path: Path) -> None:
+def test_nodes_of_an_animated_gltf_that_do_not_move_become_the_static_scene(tmp_path: Path) -> None:
     """A camera below an animated node becomes the camera path."""
     nodes = [
         {"mesh": 0, "name": "still"},
@@ -107,7 +107,7 @@ def test_static_gltf_nodes_form_the_scene_of_an_animation(tmp_path: Path) -> Non
     np.testing.assert_allclose(moving.camera_path.at(0.5).eye, (0.0, 1.0, 5.0), atol=1e-6)
 
 
-def test_gltf_camera_with_step_keyframes_never_moves_between_them(tmp_path: Path) -> None:
+def test_gltf_camera_with_step_interpolation_jumps_from_keyframe_to_keyframe(tmp_path: Path) -> None:
     """Before and after a STEP, the camera is exactly at one of its keyframes at any frame rate."""
     jumps = ("translation", [0.0, 1.0, 2.0], [(0, 0, 5), (4, 0, 5), (0, 3, 5)], "STEP")
     path = written(tmp_path / "a.glb", [{"camera": 0}], [(0, jumps)]).camera_path
@@ -154,7 +154,7 @@ def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
 
 
 @pytest.mark.parametrize("mode", ["LINEAR", "STEP"])
-def test_captures_move_with_their_animated_gltf_node(tmp_path: Path, mode: str) -> None:
+def test_capture_below_an_animated_gltf_node_moves_with_it(tmp_path: Path, mode: str) -> None:
     """At each frame, the capture has the transform of its node, which also has a constant uniform scale."""
     moving = moving_capture(tmp_path, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], mode))
     assert not moving.scene.splats

@@ -66,7 +66,7 @@ def test_rig_in_bind_pose_reproduces_the_mesh_of_the_file(tmp_path: Path) -> Non
     assert loaded.mesh.material.base_color == pytest.approx((0.8, 0.4, 0.2))
 
 
-def test_animating_only_the_root_joint_moves_a_rig_rigidly(tmp_path: Path) -> None:
+def test_rig_whose_root_joint_alone_is_animated_moves_rigidly(tmp_path: Path) -> None:
     """All vertices and normals have the transform of the root."""
     rig = TubeRig(clips={"carry": CARRY})
     loaded = load(rig, tmp_path)
@@ -122,7 +122,7 @@ def test_rig_without_a_skin_follows_its_animated_node(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.pose(1.3).positions, rig.positions @ node[:3, :3].T + node[:3, 3], atol=2e-6)
 
 
-def test_animated_morph_weights_add_their_targets_before_skinning(tmp_path: Path) -> None:
+def test_animated_morph_targets_deform_a_rig_before_skinning(tmp_path: Path) -> None:
     """Without a clip, the weights stored in the mesh are used."""
     rng = np.random.default_rng(3)
     rig = TubeRig()
@@ -134,7 +134,7 @@ def test_animated_morph_weights_add_their_targets_before_skinning(tmp_path: Path
     np.testing.assert_allclose(loaded.pose(0.25).positions, wanted, atol=1e-6)
 
 
-def test_morph_targets_without_position_offsets_count_as_targets(tmp_path: Path) -> None:
+def test_morph_targets_without_position_offsets_still_have_an_animated_weight(tmp_path: Path) -> None:
     """The second target has only tangents, but still a weight in the animation."""
     rig = TubeRig(clips={"melt": [(0, "weights", [0, 1], [0.0, 0.0, 1.0, 1.0])]}, normals=None)
     rig.targets = [np.full_like(rig.positions, 0.5)]
@@ -174,7 +174,7 @@ def test_rig_primitives_with_one_material_are_joined_to_one_mesh(tmp_path: Path)
         _ = two.mesh
 
 
-def test_rig_scaled_to_zero_by_its_clip_has_no_meshes_at_that_time(tmp_path: Path) -> None:
+def test_rig_has_no_meshes_at_times_when_its_clip_scales_it_to_zero(tmp_path: Path) -> None:
     """`poses` returns an empty tuple, and `pose` raises an error."""
     loaded = load(TubeRig(clips={"vanish": VANISH}), tmp_path)
     assert loaded.poses(1.0) == ()
@@ -312,7 +312,7 @@ def test_rigs_with_random_byte_changes_are_refused_or_can_be_posed(tmp_path: Pat
     assert 10 < refused < 80
 
 
-def test_rigs_of_other_extensions_are_refused_without_being_parsed(tmp_path: Path) -> None:
+def test_load_rig_refuses_files_of_other_extensions_than_gltf_without_parsing(tmp_path: Path) -> None:
     """Upper-case extensions are allowed."""
     (tmp_path / "spot.obj").write_text("v 0 0 0\n")
     with pytest.raises(
@@ -322,7 +322,7 @@ def test_rigs_of_other_extensions_are_refused_without_being_parsed(tmp_path: Pat
     assert ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)
 
 
-def test_animated_gltf_nodes_must_not_have_a_matrix(tmp_path: Path) -> None:
+def test_gltf_animation_of_a_node_that_has_a_matrix_is_refused(tmp_path: Path) -> None:
     """Only translation, rotation and scale can be animated."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes[3] = {"children": [4], "matrix": np.eye(4).reshape(-1).tolist()}
@@ -330,7 +330,7 @@ def test_animated_gltf_nodes_must_not_have_a_matrix(tmp_path: Path) -> None:
         load(rig, tmp_path)
 
 
-def test_black_vertex_colours_of_textured_meshes_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
+def test_black_vertex_colours_are_dropped_from_textured_meshes_only(caplog: pytest.LogCaptureFixture) -> None:
     """Black colours on a texture are masks; other colours stay, and so do black colours of meshes without a texture."""
     texture = np.zeros((2, 2, 3), np.uint8)
     plain, textured = ls.MaterialPbr(), ls.MaterialPbr(base_color_texture=texture)
@@ -344,7 +344,7 @@ def test_black_vertex_colours_of_textured_meshes_are_dropped(caplog: pytest.LogC
     assert used.endswith("'head' black: if it is no colour, export it")
 
 
-def test_black_vertex_colours_of_rigs_are_logged_or_dropped_on_request(
+def test_rigs_keep_black_vertex_colours_with_a_log_line_unless_asked_to_drop_them(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Vertex colours multiply the base colour, as glTF demands, so the mesh is black."""
@@ -362,7 +362,7 @@ def test_black_vertex_colours_of_rigs_are_logged_or_dropped_on_request(
 
 
 @pytest.mark.data
-def test_downloaded_walk_cycle_avatar_ends_as_it_begins(data_dir: Path) -> None:
+def test_last_pose_of_the_downloaded_walk_cycle_equals_the_first(data_dir: Path) -> None:
     """Its rest pose equals the mesh that `load` returns."""
     path = data_dir / "avatars" / "walk.glb"
     rig = ls.avatars.load_rig(path, vertex_colors=False)

@@ -135,7 +135,7 @@ def test_captures_used_twice_are_written_to_gltf_once(path: Path) -> None:
     np.testing.assert_array_equal(second.transform, upright @ placed)
 
 
-def test_single_capture_with_settings_is_loaded_from_gltf_as_a_scene(path: Path) -> None:
+def test_gltf_with_one_capture_loads_as_a_scene_if_the_capture_has_a_material_or_flag(path: Path) -> None:
     """Its material and its shadow catcher flag are kept; a capture without settings loads as Gaussians."""
     relit = ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))
     assert expect_kind(ls.MaterialPbr, round_trip(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
@@ -375,7 +375,9 @@ def test_writing_a_scene_that_gltf_stores_completely_logs_nothing(path: Path, ca
     assert not caplog.records
 
 
-def test_losses_of_writing_a_scene_to_gltf_are_one_log_line(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_all_features_of_a_scene_lost_in_gltf_are_named_in_one_log_line(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """The warning lists every lost feature with its count."""
     camera = next(cameras())
     scene = ls.Scene(
@@ -430,7 +432,7 @@ def test_failed_gltf_write_keeps_the_existing_file(path: Path, monkeypatch: pyte
     assert [one.name for one in path.parent.iterdir()] == [path.name]
 
 
-def test_capture_formats_refuse_scenes_meshes_and_cameras(tmp_path: Path) -> None:
+def test_saving_scenes_meshes_or_cameras_in_a_capture_format_is_refused(tmp_path: Path) -> None:
     """The error lists the formats that store them."""
     for asset, shown in ((ls.Scene(meshes=[QUAD_MESH]), ()), (QUAD_MESH, ()), (capture(3), tuple(cameras()))):
         with pytest.raises(

@@ -30,7 +30,7 @@ def only_mesh(scene: Scene) -> MeshInstance:
 
 
 @pytest.mark.parametrize("container", ["glb", "data uri", "external"])
-def test_gltf_quad_is_read_alike_from_glb_data_uri_and_external_buffer(tmp_path: Path, container: str) -> None:
+def test_quad_read_from_glb_data_uri_and_external_gltf_buffer_is_equal(tmp_path: Path, container: str) -> None:
     """Geometry, material factors and texture are equal."""
     gltf = quad_gltf()
     if container == "glb":
@@ -92,7 +92,7 @@ def test_only_the_default_scene_of_a_gltf_is_read(tmp_path: Path) -> None:
     ("mode", "corners", "triangles"),
     [(5, [0, 1, 3, 2], [(0, 1, 3), (1, 2, 3)]), (6, [0, 1, 2, 3], [(0, 1, 2), (0, 2, 3)])],
 )
-def test_gltf_strips_and_fans_become_triangles_of_one_winding(
+def test_gltf_triangle_strips_and_fans_become_triangles_of_equal_winding(
     tmp_path: Path, mode: int, corners: list, triangles: list
 ) -> None:
     """A quad is stored as a triangle strip or as a fan."""
@@ -148,7 +148,7 @@ def test_gltf_texture_transform_rotates_counter_clockwise() -> None:
     np.testing.assert_allclose(rotated, [(10, 18), (13, 20)], atol=1e-5)
 
 
-def test_gltf_texture_selects_its_set_of_texture_coordinates(tmp_path: Path) -> None:
+def test_gltf_base_colour_texture_selects_which_texture_coordinates_are_read(tmp_path: Path) -> None:
     """The texCoord of the base colour texture is 1, so TEXCOORD_1 is used."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1
@@ -245,9 +245,7 @@ def test_unknown_gltf_alpha_mode_is_refused_with_the_known_ones(tmp_path: Path) 
         read(tmp_path, gltf)
 
 
-def test_gltf_samplers_set_the_wrap_mode_of_each_axis_and_texture(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_gltf_samplers_set_wrap_modes_per_texture_and_axis(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Unknown wrap modes are refused."""
     gltf = quad_gltf()
     assert only_mesh(read(tmp_path, gltf)).mesh.material.wrap_u is ls.TextureWrap.REPEAT
@@ -286,7 +284,7 @@ def test_gltf_textures_without_uvs_are_dropped_with_a_log_line(
     assert ["the texture of 'painted' is left out" in record.message for record in caplog.records] == [True]
 
 
-def test_gltf_skin_ignores_the_transform_of_the_node_of_its_mesh(tmp_path: Path) -> None:
+def test_transform_of_the_node_of_a_skinned_gltf_mesh_is_ignored(tmp_path: Path) -> None:
     """Vertices follow the blended joint transforms times inverse bind matrices."""
     gltf = quad_gltf(textured=False, translation=[100, 0, 0], skin=0)
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]

@@ -121,7 +121,7 @@ def test_gltf_with_only_cameras_loads_as_an_empty_scene(tmp_path: Path) -> None:
         (perspective(), {"translation": [0, 0, math.nan]}, r"nodes\[0\] has translation .* finite"),
     ],
 )
-def test_invalid_gltf_cameras_are_refused_by_name(
+def test_error_for_an_invalid_gltf_camera_names_the_camera(
     tmp_path: Path, camera: dict[str, Any], node: dict[str, Any], message: str
 ) -> None:
     """The error is one line."""

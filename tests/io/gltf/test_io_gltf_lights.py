@@ -95,7 +95,7 @@ def test_gltf_nodes_may_share_a_light(tmp_path: Path) -> None:
     ("inner", "outer"),
     [(0.5, 0.5), (0.5000004, 0.5), (math.pi / 2, math.pi / 2), (0.4, None), (0.0, 0.0), (1.5709, 1.5709)],
 )
-def test_gltf_spot_with_equal_cone_angles_gets_a_narrow_edge(
+def test_gltf_spot_light_with_equal_cone_angles_gets_the_narrowest_soft_edge(
     tmp_path: Path, inner: float, outer: float | None, caplog
 ) -> None:
     """Lumisplat's narrowest edge is a thousandth of a radian; angles in the wrong order by rounding are accepted."""
@@ -139,7 +139,7 @@ def test_gltf_light_range_of_zero_or_less_is_read_as_infinite(tmp_path: Path, ki
         ({"type": "spot", "spot": {"innerConeAngle": -0.1}}, r"lights\[0\] 'bulb': inner_angle is -0.1"),
     ],
 )
-def test_invalid_gltf_lights_are_refused_by_name(tmp_path: Path, light: dict[str, Any], message: str) -> None:
+def test_error_for_an_invalid_gltf_light_names_the_light(tmp_path: Path, light: dict[str, Any], message: str) -> None:
     """The error is one line."""
     with pytest.raises(ls.FormatError, match=message) as caught:
         read(tmp_path, light_gltf({"name": "bulb", **light}))

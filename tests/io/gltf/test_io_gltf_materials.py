@@ -76,7 +76,7 @@ def test_missing_gltf_material_values_have_the_defaults_of_gltf(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("stored", "expected"), [({}, False), ({"doubleSided": False}, False), ({"doubleSided": True}, True)]
 )
-def test_gltf_emission_is_one_sided_unless_double_sided(
+def test_gltf_material_emits_on_both_sides_only_if_double_sided(
     tmp_path: Path, stored: dict[str, bool], expected: bool
 ) -> None:
     """The default of ``doubleSided`` is one side."""
@@ -100,7 +100,7 @@ def test_unlit_gltf_material_emits_its_base_colour(tmp_path: Path, caplog: pytes
 TRANSFORM = {"KHR_texture_transform": {"scale": [2.0, 2.0]}}
 
 
-def test_gltf_textures_need_the_coordinates_of_the_base_colour_texture(
+def test_gltf_textures_with_other_coordinates_than_the_base_colours_are_dropped(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Textures with another set or transform of coordinates are dropped; one log line names the textures."""
@@ -123,7 +123,7 @@ def test_gltf_textures_need_the_coordinates_of_the_base_colour_texture(
     )
 
 
-def test_gltf_textures_with_the_transform_of_the_base_colour_are_read(
+def test_gltf_textures_with_the_same_uv_transform_as_the_base_colour_are_read(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The transform is applied to the texture coordinates."""
@@ -138,7 +138,7 @@ def test_gltf_textures_with_the_transform_of_the_base_colour_are_read(
     assert not caplog.records
 
 
-def test_first_gltf_texture_sets_the_coordinates_without_a_base_colour(tmp_path: Path) -> None:
+def test_gltf_material_without_base_colour_texture_has_the_uvs_of_its_first_texture(tmp_path: Path) -> None:
     """The first texture is here the normal texture."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, occlusionTexture={"index": 3})
     del gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
@@ -173,7 +173,9 @@ def test_gltf_textures_of_meshes_without_uvs_are_dropped_and_counted(
         ({"normalTexture": {"index": 2, "extensions": {"KHR_texture_transform": {"scale": "big"}}}}, "damaged"),
     ],
 )
-def test_invalid_gltf_materials_are_refused_by_name(tmp_path: Path, material: dict[str, Any], message: str) -> None:
+def test_error_for_an_invalid_gltf_material_names_the_material(
+    tmp_path: Path, material: dict[str, Any], message: str
+) -> None:
     """The error is one line."""
     with pytest.raises(ls.FormatError, match=message) as caught:
         read(tmp_path, textured(**material))
@@ -207,7 +209,7 @@ def test_gltf_transmission_clearcoat_and_sheen_are_read(tmp_path: Path, caplog: 
         read(tmp_path, gltf)
 
 
-def test_gltf_clearcoat_textures_need_the_coordinates_of_the_base_colour(
+def test_gltf_clearcoat_textures_with_other_uvs_than_the_base_colours_are_dropped(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Textures with other coordinates are dropped with a log line."""

@@ -119,7 +119,7 @@ def test_files_without_radiance_are_refused_as_environment_maps(tmp_path: Path, 
     assert "\n" not in str(caught.value)
 
 
-def test_missing_radiance_files_and_folders_have_separate_errors(tmp_path: Path) -> None:
+def test_load_radiance_has_different_errors_for_missing_files_and_for_folders(tmp_path: Path) -> None:
     """The two messages are "no such file" and "is a folder"."""
     with pytest.raises(ls.FormatError, match="no such file"):
         ls.io.load_radiance(tmp_path / "lost.exr")
@@ -213,7 +213,7 @@ def test_downloaded_environment_maps_are_read(data_dir: Path) -> None:
         assert image.max() > 3.0 and (image >= 0.0).all()
 
 
-def test_8_bit_images_are_refused_as_radiance_whatever_their_name(tmp_path: Path) -> None:
+def test_8_bit_images_are_refused_as_radiance_even_with_an_exr_extension(tmp_path: Path) -> None:
     """The content decides, so a PNG named .exr is refused."""
     Image.fromarray(TEXELS).save(tmp_path / "b.png")
     (tmp_path / "b.png").rename(tmp_path / "b.exr")

@@ -20,7 +20,7 @@ from support.files.small_disks import small_disk
 
 
 @pytest.mark.parametrize("channels", [3, 4])
-def test_png_stores_n_over_255_as_the_byte_n(tmp_path: Path, channels: int) -> None:
+def test_image_value_n_over_255_is_written_to_png_as_byte_n(tmp_path: Path, channels: int) -> None:
     """Every byte n of an RGB or RGBA image is written and read back."""
     expected = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(channels, axis=2)
     if channels == 4:

@@ -86,7 +86,7 @@ def test_png_with_one_changed_bit_is_detected_as_damaged(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("kind", ["png", "baseline", "progressive"])
-def test_complete_images_are_checked_without_decoding(
+def test_undamaged_images_are_recognised_without_decoding_them(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Decoding would take twenty times as long."""

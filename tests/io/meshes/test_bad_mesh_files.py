@@ -68,7 +68,7 @@ def test_mesh_files_truncated_anywhere_load_or_are_refused(tmp_path: Path, kind:
 
 
 @pytest.mark.parametrize("kind", ["ply ascii", "ply little", "ply big", "stl binary", "stl ascii", "glb", "gltf"])
-def test_mesh_formats_that_store_sizes_refuse_half_a_file(tmp_path: Path, kind: str) -> None:
+def test_mesh_files_cut_in_half_are_refused_if_the_format_stores_sizes(tmp_path: Path, kind: str) -> None:
     """Formats that store the size of their content."""
     extension, make = VALID[kind]
     data = make(tmp_path)
@@ -249,7 +249,7 @@ def edit(collection: str, index: int, **values: object) -> Callable[[Gltf], None
         ),
     ],
 )
-def test_invalid_gltf_meshes_are_refused_by_item(
+def test_error_for_an_invalid_gltf_mesh_file_names_the_invalid_item(
     tmp_path: Path, damage: Callable[[Gltf], object], expected: str
 ) -> None:
     """Errors are node cycles, indices and sizes out of range, missing items and unknown extensions."""
@@ -327,7 +327,7 @@ def test_dropping_a_ply_triangle_drops_its_texture_coordinates(tmp_path: Path) -
     np.testing.assert_array_equal(mesh.uvs, [(0, 0), (0.25, 0), (0.5, 0.25)])
 
 
-def test_restarts_of_gltf_triangle_strips_are_not_counted_as_unusable(
+def test_repeated_corners_that_restart_a_gltf_triangle_strip_are_not_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Repeated corners restart a strip and are not counted."""
@@ -342,7 +342,7 @@ def test_restarts_of_gltf_triangle_strips_are_not_counted_as_unusable(
     assert not caplog.records
 
 
-def test_nonfinite_mesh_positions_are_counted_and_refused(tmp_path: Path) -> None:
+def test_meshes_with_nonfinite_positions_are_refused_with_their_number(tmp_path: Path) -> None:
     """A glTF accessor holds the NaN."""
     gltf = quad_gltf()
     positions = QUAD.copy()
@@ -351,7 +351,7 @@ def test_nonfinite_mesh_positions_are_counted_and_refused(tmp_path: Path) -> Non
     refuses(tmp_path / "a.glb", gltf.glb(), "positions has 1 non-finite")
 
 
-def test_invalid_gltf_buffers_and_json_have_separate_errors(tmp_path: Path) -> None:
+def test_each_kind_of_invalid_gltf_buffer_or_json_has_its_own_error(tmp_path: Path) -> None:
     """Errors are a missing or short external buffer, bad base64, an address on the network, and broken JSON."""
     gltf = quad_gltf()
     path = tmp_path / "a.gltf"

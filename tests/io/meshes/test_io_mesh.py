@@ -46,7 +46,7 @@ def test_obj_textures_are_upright(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.material.base_color_texture, TEXELS)
 
 
-def test_obj_kd_is_the_linear_base_colour_and_normals_have_unit_length(tmp_path: Path) -> None:
+def test_obj_kd_is_read_as_linear_base_colour_and_obj_normals_are_normalised(tmp_path: Path) -> None:
     """An MTL file states Kd 0.5 0.25 1."""
     mesh = read_one(write_obj(tmp_path))
     assert mesh.material.base_color == (0.5, 0.25, 1.0)
@@ -54,7 +54,7 @@ def test_obj_kd_is_the_linear_base_colour_and_normals_have_unit_length(tmp_path:
     np.testing.assert_allclose(present(mesh.normals), [(0, 0, 1)] * 4)
 
 
-def test_obj_ni_sets_the_index_of_refraction_of_at_least_1(tmp_path: Path) -> None:
+def test_obj_ni_is_read_as_index_of_refraction_and_raised_to_at_least_1(tmp_path: Path) -> None:
     """Values below 1, which some exporters write, become 1."""
     path = write_obj(tmp_path)
     for stored, ior in (("1.33", 1.33), ("0.001", 1.0)):
@@ -67,7 +67,7 @@ def test_obj_ni_sets_the_index_of_refraction_of_at_least_1(tmp_path: Path) -> No
     [("", 1.0, 0), ("Kd 0 0 0\n", 1.0, 1), ("Kd 0.5 0.5 0.5\n", 0.5, 0), ("Kd 0 0 0.1\n", None, 0)],
 )
 @pytest.mark.parametrize("texture_first", [False, True])
-def test_obj_textures_with_no_or_black_kd_keep_their_brightness(
+def test_obj_textures_of_materials_with_missing_or_black_kd_are_not_darkened(
     tmp_path: Path,
     color: str,
     expected: float | None,
@@ -206,7 +206,7 @@ STRIP = [(0, 1, 3, 2), (0, 1, 2, 2, 2, 3, 0)]
 @pytest.mark.parametrize("corners", STRIP)
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("kind", ["int", "uint"])
-def test_ply_triangle_strips_become_triangles_of_one_winding(
+def test_ply_triangle_strips_become_triangles_of_equal_winding(
     tmp_path: Path, corners: tuple[int, ...], order: str, kind: str
 ) -> None:
     """Several strips are in one list, separated by -1, or in several lists."""
@@ -271,7 +271,7 @@ def test_ply_texture_coordinates_per_corner_split_vertices(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("encode", [stl_bytes, stl_text])
-def test_stl_triangles_are_read_as_stored_in_both_encodings(
+def test_triangles_of_binary_and_text_stl_files_are_read_exactly(
     tmp_path: Path, encode: Callable[[np.ndarray], bytes]
 ) -> None:
     """A binary header may begin with "solid" as text files do."""

@@ -154,7 +154,7 @@ def test_settings_in_a_scene_file_override_the_defaults(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("written", "value"), [('"on"', True), ('"off"', False), ("true", True), ("false", False), ('"auto"', None)]
 )
-def test_optional_flags_of_settings_files_accept_on_off_and_auto(
+def test_settings_files_accept_on_off_and_auto_for_settings_that_may_be_unset(
     tmp_path: Path, written: str, value: bool | None
 ) -> None:
     """``lighting = "off"`` is valid as on the command line; flags that cannot be None accept only true and false."""
@@ -207,7 +207,7 @@ def test_invalid_settings_are_refused_with_file_line_and_name(tmp_path: Path, te
     refuses(caught, tmp_path, problem)
 
 
-def test_refused_save_config_calls_leave_no_file(tmp_path: Path) -> None:
+def test_save_config_refuses_other_objects_and_folders_without_writing_a_file(tmp_path: Path) -> None:
     """Only a RenderConfig can be saved, and not to the path of a folder."""
     with pytest.raises(ls.ConfigError, match="config is a RasterConfig, expected a RenderConfig"):
         ls.save_config(tmp_path / "a.toml", cast(Any, ls.RasterConfig()))

@@ -58,7 +58,7 @@ def test_hidden_scene_file_entries_are_checked_but_not_in_the_scene(folder: Path
 
 
 @pytest.mark.parametrize(("part", "x"), [('"red"', 0.0), ("1", 5.0)])
-def test_scene_file_part_selects_one_mesh_of_a_file(folder: Path, part: str, x: float) -> None:
+def test_part_key_of_a_scene_file_selects_one_mesh_by_name_or_number(folder: Path, part: str, x: float) -> None:
     """The mesh is selected by name or by number."""
     (mesh,) = load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n').meshes
     assert mesh.mesh.positions[:, 0].min() == x
@@ -73,7 +73,7 @@ def test_unknown_mesh_part_is_refused_with_the_valid_ones(folder: Path, part: st
         load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n')
 
 
-def test_mesh_part_name_used_twice_must_be_given_by_number(folder: Path) -> None:
+def test_scene_file_refuses_a_mesh_name_that_the_mesh_file_has_twice(folder: Path) -> None:
     """The single mesh of a file without names is named after the file."""
     import trimesh
 

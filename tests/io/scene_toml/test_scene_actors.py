@@ -114,7 +114,7 @@ def test_actor_keyframes_inherit_missing_values_from_the_previous_one(folder: Pa
         ("fps = 0.1", 1),
     ],
 )
-def test_animation_length_is_frames_else_duration_else_longest_actor(animation, count, folder):
+def test_animation_length_is_frames_or_else_duration_or_else_the_longest_actor(animation, count, folder):
     """The number of frames is ``frames``, or ``duration`` times ``fps``, or covers the longest actor."""
     assert load_text(folder, ACTOR + f"[animation]\n{animation}\n").frame_count == count
 

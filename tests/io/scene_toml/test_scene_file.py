@@ -43,7 +43,7 @@ def test_scene_file_entries_are_scaled_then_rotated_then_translated(folder: Path
     assert np.allclose(scene.meshes[0].transform @ [1, 0, 0, 1], [1, 3, 0, 1])
 
 
-def test_scene_file_entry_sets_the_kernel_degree_of_its_capture(folder: Path) -> None:
+def test_kernel_degree_key_of_a_scene_file_entry_sets_that_of_its_capture(folder: Path) -> None:
     """The capture's file states no degree; entries with equal degrees share the capture."""
     entry = '[[splats]]\npath = "capture.ply"\n'
     scene = load_text(folder, entry + (entry + "kernel_degree = 4\n") * 2)
@@ -176,7 +176,7 @@ def test_error_in_a_file_referenced_by_a_scene_file_names_that_file(folder: Path
     assert str(caught.value).startswith(f"{folder / 'broken.ply'}: ")
 
 
-def test_up_given_to_load_applies_if_the_scene_file_states_none(folder: Path) -> None:
+def test_up_argument_of_load_applies_only_if_the_scene_file_states_no_up_direction(folder: Path) -> None:
     """If neither states up, it is the default of meshes; upright entries follow up."""
     entry = '[[meshes]]\npath = "mesh.obj"\nupright = true\n'
     load_text(folder, entry)

@@ -57,7 +57,7 @@ def test_scene_file_camera_equals_look_at_with_the_same_values(tmp_path: Path) -
     assert (camera.name, camera.exposure) == ("close", 1.5)
 
 
-def test_scene_file_camera_defaults_to_a_y_up_pinhole_in_focus(tmp_path: Path) -> None:
+def test_scene_file_camera_is_by_default_a_y_up_pinhole_without_depth_of_field(tmp_path: Path) -> None:
     """The size is 1280 x 720, and the name is generated."""
     first, second = load(tmp_path, "[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\n" * 2)
     expected = ls.Camera.look_at((0, 0, 4), (0, 0, 0))
@@ -100,7 +100,7 @@ def camera_glb(folder: Path) -> None:
     (folder / "a.glb").write_bytes(gltf.glb())
 
 
-def test_cameras_transformed_with_their_scene_show_the_same_pixels(tmp_path: Path) -> None:
+def test_scene_and_camera_moved_by_one_scene_file_entry_show_the_same_pixels(tmp_path: Path) -> None:
     """Pinhole and orthographic cameras project a moved point to the same pixel; depth scales with the placement."""
     camera_glb(tmp_path)
     entry = '[[cameras]]\npath = "a.glb"\nheight = 40\n'
@@ -120,7 +120,7 @@ def test_cameras_transformed_with_their_scene_show_the_same_pixels(tmp_path: Pat
         assert placed.near == pytest.approx(2.5 * camera.near)
 
 
-def test_size_given_to_load_cameras_applies_if_no_file_states_one(tmp_path: Path) -> None:
+def test_image_size_given_to_load_cameras_applies_only_if_no_file_states_one(tmp_path: Path) -> None:
     """A size in the scene file or camera file wins over the argument."""
     camera_glb(tmp_path)
     assert load(tmp_path, '[[cameras]]\npath = "a.glb"\n', width=64, height=48)[0].width == 64

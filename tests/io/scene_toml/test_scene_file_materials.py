@@ -29,7 +29,7 @@ ambient = 0.05
 """
 
 
-def test_scene_file_texture_without_base_color_is_not_darkened(tmp_path: Path) -> None:
+def test_scene_file_texture_is_shown_at_full_brightness_without_a_base_color_key(tmp_path: Path) -> None:
     """The texture is not multiplied by the default grey; a given base colour multiplies it."""
     (tmp_path / "t.png").write_bytes(png_bytes())
     texture = 'base_color_texture = "t.png"'
@@ -55,7 +55,7 @@ def test_scene_file_entries_share_a_named_material(tmp_path: Path) -> None:
     assert (paint.shininess, paint.ambient, paint.name) == (12, (0.05,) * 3, "matt paint")
 
 
-def test_scene_file_material_takes_unset_values_from_the_mesh_file(tmp_path: Path) -> None:
+def test_scene_file_material_inherits_values_that_it_does_not_set_from_the_mesh_file(tmp_path: Path) -> None:
     """All values stay for the same material type; only base colour, texture and name stay for another type."""
     write_obj(tmp_path)
     scene = load_scene(

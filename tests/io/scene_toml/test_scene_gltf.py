@@ -31,14 +31,14 @@ def read(folder: Path, text: str) -> ls.Scene:
     return expect_kind(ls.Scene, ls.load(folder / "scene.toml"))
 
 
-def test_gltf_capture_under_splats_of_a_scene_file_is_y_down(folder: Path) -> None:
+def test_gltf_capture_in_the_splats_table_of_a_scene_file_is_y_down(folder: Path) -> None:
     """A capture listed under [[splats]] is the same in every format."""
     scene = read(folder, '[[splats]]\npath = "capture.glb"\nposition = [1.0, 0.0, 0.0]\n')
     np.testing.assert_allclose(scene.splats[0].world_means, capture(9).means + np.array([1, 0, 0]), atol=1e-6)
     assert scene.up == (0.0, -1.0, 0.0)
 
 
-def test_gltf_scene_under_meshes_of_a_scene_file_moves_as_a_whole(folder: Path) -> None:
+def test_gltf_scene_in_the_meshes_table_of_a_scene_file_moves_as_a_whole(folder: Path) -> None:
     """The file keeps its y-up axes; the entry's material applies to its meshes, not to its capture."""
     scene = read(
         folder, '[[meshes]]\npath = "scene.glb"\nposition = [1.0, 0.0, 0.0]\nmaterial = { roughness = 0.25 }\n'
@@ -59,7 +59,7 @@ def test_gltf_scene_under_meshes_of_a_scene_file_moves_as_a_whole(folder: Path) 
         ("splats", "mesh.glb", r"which is a mesh: list it under \[\[meshes\]\]"),
     ],
 )
-def test_gltf_under_the_wrong_scene_file_heading_names_the_right_one(
+def test_error_for_a_gltf_under_the_wrong_scene_file_heading_names_the_right_one(
     folder: Path, heading: str, name: str, problem: str
 ) -> None:
     """Captures belong under [[splats]], glTF scenes under [[meshes]]."""

@@ -174,7 +174,7 @@ def test_nonfinite_ply_values_are_counted_and_can_be_dropped(tmp_path: Path, nam
     assert load_gaussians(path, drop_invalid=True).count == 3
 
 
-def test_ply_doubles_beyond_float32_count_as_infinite(tmp_path: Path) -> None:
+def test_ply_doubles_beyond_the_range_of_float32_count_as_infinite(tmp_path: Path) -> None:
     """The error counts these values in the property x."""
     row = np.array([1e300, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0])
     (tmp_path / "a.ply").write_bytes(ply_header(1, INRIA, kind="double") + row.astype("<f8").tobytes())
@@ -299,7 +299,7 @@ def test_folder_without_meta_json_is_refused_as_a_capture(tmp_path: Path, name: 
     assert "is a folder of images, not a capture: train one from them" in refused(tmp_path / name)
 
 
-def test_point_cloud_ply_is_refused_as_no_capture(tmp_path: Path) -> None:
+def test_ply_of_points_without_opacity_and_scale_is_refused_as_a_capture(tmp_path: Path) -> None:
     """The error lists the missing properties."""
     (tmp_path / "points.ply").write_bytes(ply_header(2, ["x", "y", "z"]) + bytes(24))
     assert "a point cloud, not a Gaussian capture: it has no opacity, scale or rotation" in refused(

@@ -59,7 +59,7 @@ def test_all_ksplat_levels_and_sh_degrees_are_decoded(tmp_path: Path, level: int
     np.testing.assert_allclose(read.sh[:, 1:], given.sh[order, 1:], rtol=2.0**-11, atol=step if level == 2 else 2e-8)
 
 
-def test_missing_ksplat_header_limits_have_defaults(tmp_path: Path) -> None:
+def test_sh_limits_and_bucket_steps_missing_in_a_ksplat_header_have_defaults(tmp_path: Path) -> None:
     """SH limits default to 1.5, and a bucket has 32,767 steps from its centre to its side."""
     given = capture(30, 1)
     data = bytearray(ksplat([given], 2))

@@ -40,14 +40,14 @@ def assert_states(found: ls.Gaussians) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_capture_format_preserves_up_and_first_view(tmp_path: Path, name: str) -> None:
+def test_every_capture_format_preserves_up_direction_and_first_camera_view(tmp_path: Path, name: str) -> None:
     """Up and first view are in the coordinates of the saved capture."""
     ls.save(tmp_path / name, stated())
     assert_states(load_gaussians(tmp_path / name))
     np.testing.assert_allclose(present(stated_up(tmp_path / name)), UNIT, atol=1e-8)
 
 
-def test_openusd_preserves_up_and_first_view_of_a_capture(tmp_path: Path) -> None:
+def test_openusd_preserves_up_direction_and_first_camera_view_of_a_capture(tmp_path: Path) -> None:
     """Both are custom data of the particle field."""
     pytest.importorskip("pxr")
     ls.save(tmp_path / "a.usda", stated())
@@ -55,7 +55,7 @@ def test_openusd_preserves_up_and_first_view_of_a_capture(tmp_path: Path) -> Non
     np.testing.assert_allclose(present(stated_up(tmp_path / "a.usda")), UNIT, atol=1e-8)
 
 
-def test_blocks_preserve_up_and_first_view_of_a_capture(tmp_path: Path) -> None:
+def test_blocks_preserve_up_direction_and_first_camera_view_of_a_capture(tmp_path: Path) -> None:
     """The index stores up and first view, and all functions that load blocks return both."""
     index = ls.io.write_blocks(tmp_path / "blocks", [stated()], 10.0)
     assert_states(load_gaussians(tmp_path / "blocks"))
@@ -64,7 +64,7 @@ def test_blocks_preserve_up_and_first_view_of_a_capture(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS[:-2])
-def test_capture_without_stated_up_is_saved_without_one(tmp_path: Path, name: str) -> None:
+def test_capture_without_a_known_up_direction_is_saved_without_one(tmp_path: Path, name: str) -> None:
     """Readers thus know that the up direction of the capture is a guess."""
     ls.save(tmp_path / name, capture(40))
     found = load_gaussians(tmp_path / name)
@@ -105,7 +105,7 @@ def test_tilted_capture_is_saved_y_up_in_gltf_and_openusd(tmp_path: Path, name: 
         ("Vertical Axis: zenith", None),
     ],
 )
-def test_ply_comments_of_nerfstudio_and_lumisplat_state_up(
+def test_up_direction_is_read_from_ply_comments_of_nerfstudio_and_lumisplat(
     tmp_path: Path, comment: str, up: tuple[float, float, float] | None
 ) -> None:
     """Saving the loaded capture preserves a comment that is still right."""
@@ -119,7 +119,7 @@ def test_ply_comments_of_nerfstudio_and_lumisplat_state_up(
     assert b"Vertical Axis: z\n" in named.read_bytes() or comment != "Vertical Axis: z"
 
 
-def test_lumisplat_up_comment_of_a_ply_overrides_that_of_nerfstudio(tmp_path: Path) -> None:
+def test_lumisplats_up_direction_comment_of_a_ply_overrides_that_of_nerfstudio(tmp_path: Path) -> None:
     """Saving a rotated capture writes its new up, and removes comments that are no longer right."""
     path = tmp_path / "a.ply"
     axis = replace(capture(5), comments=("Vertical Axis: z", "a comment"), up="z-up")
@@ -144,7 +144,9 @@ def test_lumisplat_up_comment_of_a_ply_overrides_that_of_nerfstudio(tmp_path: Pa
         {"first_view": {"eye": [1e308, 0, 0], "target": [-1e308, 0, 0], "up": UP, "fov_y": 1, "width": 9, "height": 9}},
     ],
 )
-def test_invalid_up_or_first_view_is_ignored_with_a_log_line(values: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_up_direction_or_first_camera_view_is_ignored_with_a_log_line(
+    values: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     """The capture itself is loaded."""
     with caplog.at_level(logging.WARNING):
         assert orientation_of("x.ply", values) == (None, None)
@@ -152,7 +154,7 @@ def test_invalid_up_or_first_view_is_ignored_with_a_log_line(values: Any, caplog
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", "{" * 5000, '{"eye": NaN}', "0"])
-def test_damaged_up_and_first_view_comments_of_a_ply_are_ignored(tmp_path: Path, text: str) -> None:
+def test_damaged_ply_comments_of_up_direction_and_first_camera_view_are_ignored(tmp_path: Path, text: str) -> None:
     """Whatever follows the keywords of a comment, the capture is loaded."""
     plain, path = tmp_path / "plain.ply", tmp_path / "a.ply"
     ls.save(plain, capture(5))
@@ -161,7 +163,7 @@ def test_damaged_up_and_first_view_comments_of_a_ply_are_ignored(tmp_path: Path,
     assert (load_gaussians(path).up, load_gaussians(path).first_view) == (None, None)
 
 
-def test_edits_of_a_capture_preserve_its_up_and_first_view() -> None:
+def test_edits_of_a_capture_preserve_its_up_direction_and_first_camera_view() -> None:
     """Cutting, decimating and sorting preserve up and first view.
 
     Merging takes both from the first capture that has them.
@@ -173,7 +175,7 @@ def test_edits_of_a_capture_preserve_its_up_and_first_view() -> None:
     assert_states(ls.merge([capture(10), one]))
 
 
-def test_rotating_a_capture_rotates_its_up_and_first_view() -> None:
+def test_rotating_a_capture_rotates_its_up_direction_and_first_camera_view() -> None:
     """The camera of the first view projects every mean to the same pixel as before."""
     one = stated()
     moved = ls.transform(one, scale=3.0, rotation_degrees=(20.0, 130.0, 70.0), translation=(1.0, -2.0, 5.0))
@@ -189,7 +191,7 @@ def test_rotating_a_capture_rotates_its_up_and_first_view() -> None:
     assert np.dot(present(rotated.up), present(one.up)) < 0.9
 
 
-def test_first_view_in_json_is_eye_target_up_and_numbers(tmp_path: Path) -> None:
+def test_first_camera_view_is_stored_in_files_as_json_with_eye_target_and_up(tmp_path: Path) -> None:
     """Other programs can read eye, target and up without knowing the matrices of Lumisplat."""
     ls.save(tmp_path / "meta.json", stated())
     stored = json.loads((tmp_path / "meta.json").read_text())["lumisplat"]
@@ -203,7 +205,9 @@ def test_first_view_in_json_is_eye_target_up_and_numbers(tmp_path: Path) -> None
     }
 
 
-def test_up_of_a_glb_is_read_once_for_a_whole_scene_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_up_direction_of_a_glb_named_several_times_in_a_scene_file_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Entries, actors and cameras need the up direction, and finding it reads the whole capture."""
     ls.save(tmp_path / "a.glb", stated())
     (tmp_path / "scene.toml").write_text(

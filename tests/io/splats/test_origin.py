@@ -75,7 +75,7 @@ def test_captures_in_map_coordinates_get_a_float64_origin(tmp_path: Path, caplog
     np.testing.assert_array_equal(same.means, near.means)
 
 
-def test_capture_without_a_given_position_is_placed_at_its_origin(tmp_path: Path) -> None:
+def test_capture_instance_without_a_position_is_placed_at_the_captures_map_origin(tmp_path: Path) -> None:
     """Scenes and scene files leave the capture at its origin if no key states a position."""
     far = capture()
     for instance in (ls.SplatInstance(far), ls.Scene([far]).splats[0], ls.SplatInstance(far, scale_by=2.0)):
@@ -147,7 +147,7 @@ def test_invalid_origin_comment_of_a_ply_is_logged_and_ignored(
     assert not numbers or "its origin is not three numbers" in caplog.text
 
 
-def test_edits_of_a_capture_with_an_origin_use_absolute_coordinates() -> None:
+def test_edits_of_a_capture_in_map_coordinates_match_equal_edits_in_float64() -> None:
     """Translation, rotation, scaling, cropping, selection and merging match the same edits in float64."""
     far, wide = capture(), in_world(capture())
     moved = ls.transform(far, scale=2.0, rotation_degrees=(0, 0, 90), translation=(1.0, 2.0, 3.0))

@@ -106,7 +106,7 @@ def test_materials_outside_the_range_of_r3dg_are_clamped_and_logged(
     assert not caplog.records
 
 
-def test_incident_light_of_r3dg_plys_is_read_only_on_request(tmp_path: Path) -> None:
+def test_incident_light_of_r3dg_plys_is_not_read_unless_the_caller_asks_for_it(tmp_path: Path) -> None:
     """Files of R3DG and of Lumisplat are read; missing coefficients are zeros."""
     light = np.random.default_rng(1).normal(size=(200, 4, 3)).astype(np.float32)
     made = relightable(incident=light)

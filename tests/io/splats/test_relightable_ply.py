@@ -63,7 +63,7 @@ def write(path: Path, *rows: dict[str, float], comment: str = "") -> Path:
     return path
 
 
-def test_handmade_ply_rows_have_as_many_columns_as_files_of_the_trainers() -> None:
+def test_fixture_rows_of_r3dg_and_gs_ir_plys_have_as_many_columns_as_real_files() -> None:
     """R3DG writes 130 columns and GS-IR 67."""
     assert (len(r3dg_row((0, 0, 0), 0)), len(gs_ir_row((0, 0, 0), 0, 0))) == (130, 67)
 
@@ -123,7 +123,7 @@ def test_gs_ir_albedo_roughness_and_metallic_are_decoded(
     np.testing.assert_array_equal(present(loaded.normals), [[0, 0, 1]])
 
 
-def test_materials_of_other_trainers_are_saved_as_linear_values(tmp_path: Path) -> None:
+def test_materials_read_from_plys_of_other_trainers_are_saved_as_linear_values(tmp_path: Path) -> None:
     """A PLY saved by Lumisplat preserves the materials, and a comment marks them as linear."""
     first = load_gaussians(write(tmp_path / "theirs.ply", r3dg_row((0.0, 0.25, 1.0), 0.5)))
     ls.save(tmp_path / "ours.ply", first)
@@ -205,7 +205,7 @@ def test_ply_materials_marked_linear_but_out_of_range_are_refused(tmp_path: Path
         ls.load(path)
 
 
-def test_nonfinite_ply_materials_are_refused_by_column_name(tmp_path: Path) -> None:
+def test_error_for_nonfinite_ply_materials_names_their_columns(tmp_path: Path) -> None:
     """NaN and infinity are refused although their sigmoid would be finite."""
     bad = r3dg_row((0.0, np.inf, 0.0), np.nan)
     path = write(tmp_path / "bad.ply", r3dg_row((0, 0, 0), 0), bad)

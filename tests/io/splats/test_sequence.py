@@ -29,7 +29,7 @@ def test_frames_of_a_sequence_are_sorted_by_number(tmp_path: Path) -> None:
     assert [sequence.at(k / 2.0).count for k in range(4)] == [4, 5, 6, 7]
 
 
-def test_sequence_shows_a_frame_until_the_time_of_the_next(tmp_path: Path) -> None:
+def test_sequence_of_captures_shows_each_frame_until_the_time_of_the_next(tmp_path: Path) -> None:
     """Frames may differ in count, and are not interpolated."""
     write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
     sequence = ls.io.load_sequence(tmp_path, 10.0)
@@ -38,7 +38,7 @@ def test_sequence_shows_a_frame_until_the_time_of_the_next(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("fps", [24.0, 25.0, 29.97, 30.0, 60.0, 1.0 / 3.0])
-def test_sequence_skips_no_frame_by_rounding_of_times(fps: float, tmp_path: Path) -> None:
+def test_rounding_of_times_makes_no_sequence_of_captures_skip_a_frame(fps: float, tmp_path: Path) -> None:
     """At time k / fps the frame is k, for all k."""
     shown: list[int] = []
     frame = random_gaussians(0, count=1)
@@ -53,7 +53,7 @@ def test_sequence_skips_no_frame_by_rounding_of_times(fps: float, tmp_path: Path
     assert shown == list(range(500))
 
 
-def test_sequence_caches_the_two_frames_used_last(tmp_path: Path) -> None:
+def test_sequence_of_captures_keeps_the_two_last_used_frames_in_memory(tmp_path: Path) -> None:
     """A frame is loaded on first use, and again only after it has left the cache."""
     loaded: list[str] = []
 
@@ -69,7 +69,7 @@ def test_sequence_caches_the_two_frames_used_last(tmp_path: Path) -> None:
     assert loaded == ["0", "1", "2", "0"]
 
 
-def test_sequence_refuses_or_drops_invalid_gaussians_of_a_frame(tmp_path: Path) -> None:
+def test_sequence_refuses_frames_with_invalid_gaussians_unless_told_to_drop_them(tmp_path: Path) -> None:
     """A frame with NaN is refused when its time is shown, or with drop_invalid loses the invalid Gaussians."""
     write_frames(tmp_path, ["a1.ply", "a2.ply"], [10, 10])
     data = bytearray((tmp_path / "a2.ply").read_bytes())
@@ -83,7 +83,7 @@ def test_sequence_refuses_or_drops_invalid_gaussians_of_a_frame(tmp_path: Path) 
     assert ls.io.load_sequence(tmp_path, 1.0, drop_invalid=True).at(1.0).count == 9
 
 
-def test_load_sequence_refuses_folders_without_frames_of_one_format(tmp_path: Path) -> None:
+def test_load_sequence_refuses_folders_without_captures_or_with_several_formats(tmp_path: Path) -> None:
     """The one-line error states what was expected."""
     with pytest.raises(ls.FormatError, match=r"holds no frames: expected files that end in .*\.spz"):
         ls.io.load_sequence(tmp_path, 25.0)

@@ -73,7 +73,7 @@ def test_levels_of_streamed_sog_halve_the_count_over_the_same_extent(tmp_path: P
     assert expect_kind(ls.Gaussians, ls.load(path, budget=levels[2].count)).count == levels[2].count
 
 
-def test_leaves_of_streamed_sog_are_small_and_inside_their_parents(tmp_path: Path) -> None:
+def test_leaves_of_streamed_sog_have_few_gaussians_and_lie_inside_their_parent_nodes(tmp_path: Path) -> None:
     """Each leaf has all levels, and its box contains its Gaussians."""
     ls.save(tmp_path / "lod-meta.json", capture(600, 0))
     meta = json.loads((tmp_path / "lod-meta.json").read_text())

@@ -16,7 +16,7 @@ from support.files.splat_files import capture, load_gaussians, rows_of_level, so
 from support.kinds import expect_kind
 
 
-def test_sog_leaves_without_the_chosen_level_use_the_next_coarser_one(tmp_path: Path) -> None:
+def test_sog_leaves_that_lack_the_chosen_level_load_their_next_coarser_level(tmp_path: Path) -> None:
     """Level 0 is the whole finest capture; coarser captures have no SH here."""
     path = streamed(tmp_path)
     finest, middle, coarsest = (load_gaussians(tmp_path / name) for name in ("0_0", "1_0", "2_0"))
@@ -31,7 +31,7 @@ def test_sog_leaves_without_the_chosen_level_use_the_next_coarser_one(tmp_path: 
 
 
 @pytest.mark.parametrize(("budget", "count"), [(10**6, 50), (50, 50), (49, 23), (23, 23), (22, 8), (8, 8), (7, 8)])
-def test_budget_selects_the_finest_sog_level_within_a_gaussian_count(
+def test_gaussian_budget_of_load_selects_the_finest_sog_level_within_it(
     tmp_path: Path, budget: int, count: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A log line names the level; if no level is small enough, the coarsest is read, and the line says so."""
@@ -116,7 +116,7 @@ def test_levels_of_downloaded_playbot_scene_match_its_metadata(data_dir: Path) -
     assert (low > np.array(bound["min"]) - 0.05).all() and (high < np.array(bound["max"]) + 0.05).all()
 
 
-def test_splat_files_are_decoded_to_8_bits_of_colour_and_rotation(tmp_path: Path) -> None:
+def test_colours_and_rotations_read_from_splat_files_have_8_bits_of_precision(tmp_path: Path) -> None:
     """Positions and scales of a .splat are exact; colours, opacities and rotations have 8 bits."""
     base = capture(100, 0)
     (tmp_path / "a.splat").write_bytes(splat_rows(base))

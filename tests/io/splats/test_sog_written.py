@@ -116,7 +116,7 @@ def test_sog_preserves_positions_in_map_coordinates(
     )
 
 
-def test_sog_counts_gaussians_with_positions_coarser_than_their_size(
+def test_saving_sog_logs_how_many_gaussians_are_smaller_than_the_position_step(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Only the outlier is coarse, not the Gaussians near the origin; without an outlier nothing is logged."""
@@ -134,7 +134,7 @@ def test_sog_counts_gaussians_with_positions_coarser_than_their_size(
     assert not caplog.records
 
 
-def test_saving_a_loaded_sog_loses_no_further_sh(tmp_path: Path) -> None:
+def test_saving_a_loaded_sog_again_does_not_change_its_sh_coefficients(tmp_path: Path) -> None:
     """The palette of the loaded file is found again."""
     _, once = written(tmp_path, capture(2000, 2))
     before, twice = written(tmp_path, once)
@@ -178,7 +178,7 @@ def test_sog_codebook_is_exact_for_up_to_256_distinct_values() -> None:
     np.testing.assert_allclose(codebook[encode(many, codebook)], many, rtol=1e-6)
 
 
-def test_sog_codebook_has_entries_for_outliers() -> None:
+def test_sog_codebook_represents_few_outliers_among_many_values_exactly() -> None:
     """Four values far from ten thousand others get their own entries."""
     rng = np.random.default_rng(0)
     values = np.concatenate([rng.normal(size=10_000), [30.0, 31.0, -25.0, 60.0]])
@@ -186,7 +186,7 @@ def test_sog_codebook_has_entries_for_outliers() -> None:
     np.testing.assert_allclose(codebook[encode(values[-4:], codebook)], values[-4:], rtol=1e-6)
 
 
-def test_sog_codebook_error_is_within_1_percent_of_the_optimum() -> None:
+def test_sog_codebook_of_uniform_numbers_has_at_most_1_percent_above_the_least_error() -> None:
     """For uniform numbers the optimum is the error of 256 equal steps."""
     values = (np.arange(51_200) + 0.5) / 51_200
     codebook = fit_codebook(values)
@@ -195,7 +195,9 @@ def test_sog_codebook_error_is_within_1_percent_of_the_optimum() -> None:
 
 
 @pytest.mark.data
-def test_frames_of_a_capture_saved_as_sog_match_to_60_db(tmp_path: Path, data_dir: Path) -> None:
+def test_frames_of_a_capture_before_and_after_saving_as_sog_differ_by_over_60_db_psnr(
+    tmp_path: Path, data_dir: Path
+) -> None:
     """The downloaded biker capture is rendered at 320 x 180 pixels."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     ls.save(tmp_path / "biker.sog", biker)
@@ -217,7 +219,7 @@ def splat_transform() -> list[str]:
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_splat_transform_reads_written_sog_as_lumisplat_does(tmp_path: Path, degree: int) -> None:
+def test_splat_transform_and_lumisplat_read_equal_gaussians_from_written_sog(tmp_path: Path, degree: int) -> None:
     """The PLY that splat-transform makes of the SOG equals the loaded capture."""
     command = splat_transform()
     _, ours = written(tmp_path, capture(500, degree))

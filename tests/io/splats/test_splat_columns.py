@@ -33,7 +33,7 @@ def poisoned() -> SplatColumns:
     return columns
 
 
-def test_invalid_columns_are_counted_by_property_in_the_error() -> None:
+def test_error_for_invalid_gaussians_counts_invalid_values_per_property() -> None:
     """The error also names the option that drops invalid Gaussians."""
     with pytest.raises(FormatError) as error:
         gaussians_from_columns("a.ply", poisoned())
@@ -68,7 +68,7 @@ def test_drop_invalid_removes_only_gaussians_with_invalid_columns(caplog: pytest
     assert "dropped 4 of 10 Gaussians" in caplog.text
 
 
-def test_infinite_logits_are_valid_opacities_0_and_1(caplog: pytest.LogCaptureFixture) -> None:
+def test_infinite_opacity_logits_are_accepted_as_opacities_0_and_1(caplog: pytest.LogCaptureFixture) -> None:
     """A log scale of -inf is valid, too, and becomes the smallest scale."""
     columns = stored()
     columns.opacities[:2] = np.inf, -np.inf
@@ -130,7 +130,7 @@ def test_column_value_out_of_range_gives_an_error_that_names_the_file() -> None:
         gaussians_from_columns("a.ply", columns)
 
 
-def test_converting_gaussians_to_columns_repeatedly_is_bit_exact() -> None:
+def test_gaussians_do_not_drift_when_converted_to_file_columns_and_back_many_times() -> None:
     """Values decoded from logarithms and logits do not drift over many conversions."""
     rng = np.random.default_rng(1)
     columns = stored(20_000, degree=0)

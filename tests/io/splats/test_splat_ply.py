@@ -139,7 +139,7 @@ def test_text_ply_elements_other_than_vertices_are_skipped(tmp_path: Path) -> No
         ([*NAMES, *(f"f_rest_{i}" for i in range(1, 10))], "no f_rest_0"),
     ],
 )
-def test_ply_captures_with_missing_properties_are_refused_by_name(
+def test_error_for_a_ply_capture_with_missing_properties_names_them(
     tmp_path: Path, names: list[str], message: str
 ) -> None:
     """A point cloud, or a capture without an opacity, rotation or SH, lacks properties."""
@@ -183,7 +183,7 @@ def test_cloudcompare_prefixes_of_ply_properties_are_removed(tmp_path: Path, pre
         np.testing.assert_array_equal(piece.sh, plain.sh)
 
 
-def test_ply_property_without_prefix_wins_over_a_prefixed_one(tmp_path: Path) -> None:
+def test_ply_property_without_cloudcompares_prefix_overrides_the_prefixed_one(tmp_path: Path) -> None:
     """A file may have a property with and without CloudCompare's prefix."""
     read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "scalar_opacity", "scal_x"], [[*ROW, 9.0, 9.0]]))
     assert read.opacities[0] == 0.5
@@ -219,7 +219,9 @@ def test_rgb_properties_of_a_ply_replace_missing_f_dc(tmp_path: Path, kind: str,
 
 
 @pytest.mark.parametrize("colors", [("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ()])
-def test_ply_colours_are_read_under_three_names_and_in_capitals(tmp_path: Path, colors: tuple[str, ...]) -> None:
+def test_rgb_colours_of_a_ply_are_read_under_any_of_three_names_and_in_capitals(
+    tmp_path: Path, colors: tuple[str, ...]
+) -> None:
     """Some programs write all property names in capitals."""
     if colors:
         names = [name for name in NAMES if not name.startswith("f_dc")] + list(colors)
@@ -250,7 +252,7 @@ def _activated(folder: Path, whole: ls.Gaussians, *, scales: bool, opacities: bo
 
 @pytest.mark.parametrize(("scales", "opacities"), [(True, True), (False, True), (True, False)])
 @pytest.mark.parametrize("opaque", [False, True])
-def test_ply_with_scales_and_opacities_after_activation_is_recognised(
+def test_ply_that_stores_scales_and_opacities_not_logarithms_and_logits_is_recognised(
     tmp_path: Path, scales: bool, opacities: bool, opaque: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Read as logits, all opacities would be 0.5 to 0.73; read as logarithms, all Gaussians would exceed one unit."""
@@ -269,7 +271,7 @@ def test_ply_with_scales_and_opacities_after_activation_is_recognised(
     np.testing.assert_array_equal(piece.scales, read.scales)
 
 
-def test_comment_lumisplat_logits_overrides_the_guess_of_encoding(
+def test_ply_comment_lumisplat_logits_overrides_the_guess_of_how_opacity_is_encoded(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The log line about the guess proposes this comment; with the comment, nothing is logged."""
@@ -279,7 +281,7 @@ def test_comment_lumisplat_logits_overrides_the_guess_of_encoding(
     assert not caplog.records
 
 
-def test_saved_ply_whose_logits_look_activated_states_its_encoding(
+def test_saved_ply_whose_logits_could_be_taken_for_opacities_has_a_comment(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Large Gaussians with logits within 0..1 survive two round trips thanks to a comment."""
@@ -293,7 +295,7 @@ def test_saved_ply_whose_logits_look_activated_states_its_encoding(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_plys_of_trained_captures_are_not_mistaken_for_activated_ones(
+def test_log_scales_and_logits_of_trained_plys_are_not_taken_for_decoded_values(
     tmp_path: Path, seed: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Units range from millimetres to kilometres, and captures are dense or faint."""

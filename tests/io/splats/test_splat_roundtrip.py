@@ -195,7 +195,9 @@ def test_capture_formats_log_materials_that_they_cannot_store(
 
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply", "capture.spz"])
 @pytest.mark.parametrize("count", [1, 255, 256, 257])
-def test_captures_with_counts_around_a_chunk_size_round_trip(tmp_path: Path, name: str, count: int) -> None:
+def test_captures_of_about_256_gaussians_keep_their_count_in_chunked_formats(
+    tmp_path: Path, name: str, count: int
+) -> None:
     """No Gaussian is lost or added at the edges of a chunk of 256."""
     ls.save(tmp_path / name, capture(count))
     assert load_gaussians(tmp_path / name).count == count

@@ -56,7 +56,7 @@ def test_sog_palette_files_are_read_in_either_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(first.sh, second.sh)
 
 
-def test_null_first_entry_of_a_sog_codebook_is_extrapolated(tmp_path: Path) -> None:
+def test_missing_first_entry_of_a_sog_codebook_is_extrapolated_from_the_others(tmp_path: Path) -> None:
     """Some programs wrote null as the first entry."""
     files = sog_files(capture(50), linear=False)
     scales = json.loads(files["meta.json"])["scales"]

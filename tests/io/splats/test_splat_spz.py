@@ -224,7 +224,7 @@ def test_spz_axes_with_exchanged_y_and_z_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("largest", [1e-6, 0.01, 1.0, 31.9, 32.0, 100.0, 2047.9, 2048.0, 1e5, 4e6])
-def test_spz_position_bits_suit_the_largest_coordinate(largest: float) -> None:
+def test_number_of_fractional_bits_of_spz_positions_suits_the_largest_coordinate(largest: float) -> None:
     """Coordinates fit 24 bits, with steps of at most 2^-17 of the largest one, or 12 fractional bits."""
     bits = position_bits("a.spz", largest)
     assert 1 <= bits <= 24
@@ -242,7 +242,9 @@ def test_spz_positions_are_precise_in_small_and_large_scenes(tmp_path: Path, siz
     np.testing.assert_allclose(load_gaussians(tmp_path / "a.spz").means, means, rtol=0, atol=size * 2**-16)
 
 
-def test_spz_counts_clamped_scales_and_sh(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_saving_spz_clamps_extreme_scales_and_sh_and_logs_their_number(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """The limits are e^-10 and e^5.94 for scales, 3.33 for SH degree 0, -1 and 1 for other SH."""
     base = capture(4)
     scales, sh = base.scales.copy(), base.sh.copy()
@@ -282,7 +284,7 @@ def test_positions_beyond_the_range_of_spz_are_refused(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("container", ["v3", "v4"])
-def test_spz_header_fields_out_of_range_are_refused_by_name(
+def test_error_for_an_spz_header_field_out_of_range_names_the_field(
     tmp_path: Path, container: str, field: tuple[int, str], value: int, message: str
 ) -> None:
     """Both the gzip and the zstd container are checked."""

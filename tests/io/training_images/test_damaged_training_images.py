@@ -169,7 +169,7 @@ def test_training_image_deleted_after_loading_is_named(nerfstudio):
         ({"background": "mauve-ish"}, "background is 'mauve-ish', expected three numbers"),
     ],
 )
-def test_settings_of_training_images_are_checked_before_the_folder(options, message):
+def test_load_training_images_refuses_invalid_settings_before_it_opens_the_folder(options, message):
     """The folder does not exist."""
     with pytest.raises(ls.ConfigError, match=message):
         ls.io.load_training_images("nowhere", **cast(Any, options))

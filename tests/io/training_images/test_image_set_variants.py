@@ -73,7 +73,7 @@ def test_training_masks_without_an_image_are_counted_in_a_log_line(
 
 
 @pytest.mark.parametrize("has_val", [False, True])
-def test_other_images_are_held_out_if_a_blender_test_file_has_no_images(
+def test_validation_or_training_images_are_held_out_if_blender_test_images_are_missing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, has_val: bool
 ) -> None:
     """A log line names the images held out instead: those of the validation file, else training images."""
@@ -206,7 +206,7 @@ def test_absurd_lens_distortion_of_training_images_is_refused(
         ls.io.load_training_images(tmp_path)
 
 
-def test_distortion_too_small_to_invert_is_ignored(tmp_path: Path) -> None:
+def test_lens_distortion_coefficients_with_infinite_reciprocals_are_ignored(tmp_path: Path) -> None:
     """Coefficients whose reciprocals overflow give the rays of an undistorted lens."""
     camera = ring_cameras(1, 16, 12)[0]
     tiny = ring_cameras(1, 16, 12, distortion=(1e-320, 1e-310, -1e-320, 1e-300, 0.0, 0.0))[0]

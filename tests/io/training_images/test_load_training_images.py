@@ -175,7 +175,7 @@ def test_downscaling_training_images_excludes_masked_pixels(tmp_path, scale):
     assert (views[0].pixels() != views[1].pixels()).any()
 
 
-def test_camera_target_and_extent_follow_from_a_ring_of_cameras(tmp_path):
+def test_target_and_extent_of_a_ring_of_cameras_are_its_centre_and_1_1_radii(tmp_path):
     """The extent is 1.1 times the radius of a camera ring, the target its centre."""
     write_nerfstudio_images(tmp_path, ring_cameras(6, 8, 6))
     found = ls.io.load_training_images(tmp_path, hold_out=0)
@@ -183,7 +183,7 @@ def test_camera_target_and_extent_follow_from_a_ring_of_cameras(tmp_path):
     np.testing.assert_allclose(found.target, (1.0, 2.0, 3.0), atol=1e-9)
 
 
-def test_target_of_parallel_cameras_is_their_mean_position(tmp_path):
+def test_common_target_of_cameras_with_parallel_axes_is_their_mean_position(tmp_path):
     """Parallel axes have no nearest point; the target of coincident cameras is their position."""
     camera = ring_cameras(7, 8, 6)[1]
     moved = [replace(camera, name=f"m{k}", camera_from_world=np.array(camera.camera_from_world)) for k in range(2)]
@@ -200,7 +200,7 @@ def test_target_of_parallel_cameras_is_their_mean_position(tmp_path):
     np.testing.assert_allclose(still.target, moved[0].eye, atol=1e-9)
 
 
-def test_target_of_parallel_cameras_ignores_their_direction():
+def test_common_target_of_nearly_parallel_cameras_is_not_far_away():
     """Rounding errors of nearly parallel axes do not produce a far target."""
     rng = np.random.default_rng(5)
     for _ in range(100):
@@ -275,7 +275,7 @@ def test_training_images_in_subfolders_get_unique_names(tmp_path):
     assert [(view.name, view.path.parent.name) for view in views] == [("a", "left"), ("a_2", "right")]
 
 
-def test_training_images_outside_the_folder_need_allow_outside(tmp_path):
+def test_training_images_outside_the_folder_are_refused_without_allow_outside(tmp_path):
     """By default a path outside the folder is refused."""
     folder = write_nerfstudio_images(tmp_path / "inner", ring_cameras(2, 8, 6))
     write_png(tmp_path / "outer.png", render_image(ring_cameras(2, 8, 6)[0]))

@@ -30,7 +30,7 @@ def walk_features(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
     return frames
 
 
-def test_all_pairs_of_few_images_are_matched_without_features() -> None:
+def test_all_pairs_of_few_images_are_selected_without_computing_features() -> None:
     """Every pair is selected whether images are ordered or not, and no features are computed to compare images."""
     for count, ordered in ((2, False), (ALL_PAIRS_UP_TO, False), (2, True), (NEXT_FRAMES, True)):
         pairs = compared_pairs(count, pytest.fail, ordered, lambda fraction: None)
@@ -70,7 +70,7 @@ def test_unordered_images_are_matched_with_similar_images() -> None:
     assert min(nearest.values()) >= SIMILAR_IMAGES and len(pairs) < count * (count - 1) // 4
 
 
-def test_images_without_features_are_matched_with_none() -> None:
+def test_images_without_features_are_paired_with_no_other_image() -> None:
     """Empty descriptors are no error."""
     nothing = np.zeros((0, 128), np.float32)
     one = np.eye(1, 128, dtype=np.float32)
@@ -78,7 +78,7 @@ def test_images_without_features_are_matched_with_none() -> None:
     assert similar_pairs([], 0, lambda fraction: None) == []
 
 
-def test_largest_image_features_are_selected_for_comparison() -> None:
+def test_largest_features_of_each_image_are_selected_for_image_comparison() -> None:
     """Features are ordered by the size of their shape, affine or not."""
     rng = np.random.default_rng(0)
     count = 3 * SIMILARITY_FEATURES

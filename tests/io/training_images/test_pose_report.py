@@ -10,12 +10,12 @@ NAMES = [f"{k:04}.jpg" for k in range(40)]
 GOOD = PoseReport(NAMES, NAMES, model_sizes=[40], points=9000, points_per_image=700.0, error=0.6, fov_degrees=60.0)
 
 
-def test_report_on_good_poses_has_no_remarks() -> None:
+def test_report_on_well_estimated_camera_poses_has_no_remarks() -> None:
     """All images have poses, with many points, small errors and a usual field of view."""
     assert GOOD.remarks() == []
 
 
-def test_report_on_estimated_poses_has_one_remark_per_fault() -> None:
+def test_report_on_estimated_camera_poses_has_one_remark_per_fault() -> None:
     """Each fault gives one line and no other."""
     for found, words in (
         (replace(GOOD, with_pose=NAMES[:38]), "no pose was found for 2 of 40 images (0038.jpg, 0039.jpg)"),

@@ -31,7 +31,9 @@ def write_images(folder: Path, count: int, sizes: tuple[int, ...] = (8,)) -> Pat
     return folder
 
 
-def test_find_poses_gives_images_of_one_size_a_shared_lens(colmap: ColmapStub, tmp_path: Path) -> None:
+def test_find_poses_estimates_one_lens_for_all_images_if_their_sizes_are_equal(
+    colmap: ColmapStub, tmp_path: Path
+) -> None:
     """Features are extracted in several calls; if images have two sizes, each image gets a lens of its own."""
     colmap.models = [range(9)]
     ls.io.find_poses(write_images(tmp_path / "one", 9))
@@ -85,7 +87,9 @@ def test_find_poses_restarts_if_images_changed(colmap: ColmapStub, tmp_path: Pat
         assert "continues from" not in caplog.text
 
 
-def test_find_poses_uses_and_logs_the_largest_model(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+def test_find_poses_uses_the_largest_of_several_colmap_models_and_logs_their_sizes(
+    colmap: ColmapStub, tmp_path: Path, caplog: Any
+) -> None:
     """The log counts images without a pose by their original names."""
     colmap.models = [(0, 1, 2), (3, 4, 5, 6, 7)]
     reported: list[tuple[str, float]] = []
@@ -100,7 +104,9 @@ def test_find_poses_uses_and_logs_the_largest_model(colmap: ColmapStub, tmp_path
     assert [fraction for _, fraction in placing] == sorted(fraction for _, fraction in placing)
 
 
-def test_find_poses_does_not_log_models_without_further_images(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+def test_find_poses_does_not_log_colmap_models_that_add_no_images(
+    colmap: ColmapStub, tmp_path: Path, caplog: Any
+) -> None:
     """COLMAP also returns models of two images, and models whose images are all in the largest model."""
     colmap.models = [(0, 1), (1, 2, 3), (0, 1, 2, 3, 4, 5, 6, 7, 8)]
     ls.io.find_poses(write_images(tmp_path, 9))

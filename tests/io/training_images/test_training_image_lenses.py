@@ -23,7 +23,7 @@ LENSES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_undistorted_training_images_match_rays_of_a_pinhole(tmp_path, lens, scale):
+def test_training_image_undistorted_from_any_lens_equals_a_pinhole_image(tmp_path, lens, scale):
     """An image rendered through the lens and undistorted equals an image of the pinhole to a few bytes."""
     cameras = ring_cameras(2, 120, 90, **lens)
     folder = write_nerfstudio_images(tmp_path, cameras, [_large(camera) for camera in cameras])
@@ -40,7 +40,7 @@ def test_undistorted_training_images_match_rays_of_a_pinhole(tmp_path, lens, sca
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_points_in_a_lens_image_have_the_rays_of_the_pinhole_pixels(lens):
+def test_undistortion_maps_each_pinhole_pixel_to_the_lens_point_of_the_same_ray(lens):
     """`lens_points` maps a pinhole pixel to a point of the lens image that has the same ray."""
     camera = ring_cameras(1, 60, 45, **lens)[0]
     points, covered = lens_points(camera)

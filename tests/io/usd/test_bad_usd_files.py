@@ -249,7 +249,7 @@ def limits_with_textures(path: Path) -> list[int]:
     return found
 
 
-def test_each_usd_texture_raises_the_memory_limit_of_the_child(tmp_path: Path) -> None:
+def test_each_texture_of_a_usd_stage_raises_the_memory_limit_of_its_child_process(tmp_path: Path) -> None:
     """Textures have their own limit, so that a small stage may have many of them."""
     usd_core()
     none, one, two = process.read_in_child(tmp_path / "a.usda", limits_with_textures)
@@ -294,7 +294,7 @@ def test_crashed_or_hung_usd_child_process_gives_a_one_line_error(
     assert isinstance(ls.load(tmp_path / "a.usda"), ls.Gaussians)
 
 
-def test_usd_child_process_lives_as_long_as_its_remote_functions(tmp_path: Path) -> None:
+def test_child_process_that_reads_usd_ends_with_its_last_remote_function(tmp_path: Path) -> None:
     """Two results in use at once have a child process each; a child ends with its result."""
     usd_core()
     first, second = (process.read_in_child(tmp_path / "a.usda", halving, factor)[1] for factor in (0.5, 2.0))
@@ -330,7 +330,7 @@ def limits(path: Path) -> tuple[int, int]:
     return resource.getrlimit(resource.RLIMIT_DATA)[0], resource.getrlimit(resource.RLIMIT_CPU)[0]
 
 
-def test_limits_of_the_usd_child_grow_with_file_size_from_the_start(
+def test_memory_and_time_limits_of_the_usd_child_process_grow_with_file_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The parent sets the memory and time for a large file before the child process opens it."""
@@ -349,14 +349,14 @@ def exhausted(path: Path) -> None:
     raise FormatError(path, "damaged, or not a USD file: std::bad_alloc")
 
 
-def test_exhausted_memory_of_the_usd_child_is_reported_as_limit(tmp_path: Path) -> None:
+def test_usd_child_process_that_exhausts_its_memory_is_reported_as_a_limit(tmp_path: Path) -> None:
     """The library's std::bad_alloc is not reported as a damaged file."""
     usd_core()
     with pytest.raises(FormatError, match=r"or takes more than 0\.8 GB of memory"):
         process.read_in_child(tmp_path / "a.usda", exhausted)
 
 
-def test_usd_child_imports_nothing_from_the_working_folder(tmp_path: Path) -> None:
+def test_usd_child_process_imports_no_modules_from_the_working_folder(tmp_path: Path) -> None:
     """The reader process does not run modules in the user's working folder."""
     usd_core()
     write_usda(tmp_path / "a.usda", field())
@@ -368,7 +368,7 @@ def test_usd_child_imports_nothing_from_the_working_folder(tmp_path: Path) -> No
     assert not (tmp_path / "run").exists()
 
 
-def test_ended_usd_child_is_not_killed_again(tmp_path: Path) -> None:
+def test_usd_child_process_that_has_ended_is_never_killed_by_its_id(tmp_path: Path) -> None:
     """Another process may have the id of the ended child by then."""
     usd_core()
     ls.save(tmp_path / "a.usda", capture(3))
@@ -388,7 +388,7 @@ def test_ended_usd_child_is_not_killed_again(tmp_path: Path) -> None:
     ],
     ids=["reference", "payload", "clip", "variant", "sublayer"],
 )
-def test_usd_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) -> None:
+def test_usd_file_references_that_contain_expressions_are_refused(tmp_path: Path, body: str) -> None:
     """An expression may name any file, in places where names are no longer checked."""
     usd_core()
     (tmp_path / "in").mkdir()
@@ -398,7 +398,7 @@ def test_usd_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) 
     assert "names a file by the expression" in refused(write_usda(tmp_path / "in" / "a.usda", body, head))
 
 
-def test_usd_layers_named_with_arguments_are_refused(tmp_path: Path) -> None:
+def test_usd_file_references_with_format_arguments_are_refused(tmp_path: Path) -> None:
     """A pipe named with arguments would look like a missing file, and the library would wait for its writer."""
     usd_core()
     os.mkfifo(tmp_path / "pipe.usda")
@@ -535,7 +535,7 @@ def test_nested_usd_instances_of_hidden_prims_are_limited(tmp_path: Path, monkey
         ('upAxis = "Y"', 'def SphereLight "l" {\n float inputs:radius = 0\n}', "/l: radius is 0"),
     ],
 )
-def test_invalid_usd_values_are_refused_by_prim_and_attribute(
+def test_error_for_an_invalid_usd_value_names_prim_and_attribute(
     tmp_path: Path, head: str, body: str, message: str
 ) -> None:
     """The message names the prim and attribute."""

@@ -141,7 +141,7 @@ def ParticleField3DGaussianSplat "g" {
 """Stage of another program: a mesh that stretches while it moves, and a field that gains particles, then hides."""
 
 
-def test_deforming_usd_prims_have_the_shapes_of_their_time_samples(
+def test_usd_meshes_deform_between_time_samples_and_particle_fields_hold_them(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A mesh is interpolated between its samples, and a particle field is held."""
@@ -158,7 +158,9 @@ def test_deforming_usd_prims_have_the_shapes_of_their_time_samples(
     assert field.at(1.0) == () and len(loaded.actors_at(1.0)) == 1
 
 
-def test_instanced_deforming_usd_prims_keep_their_first_shape(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_point_instances_of_a_deforming_usd_prim_keep_its_first_shape(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """A log line reports the instances."""
     body = f"""def PointInstancer "i" {{
         int[] protoIndices = [0, 0]
@@ -174,7 +176,7 @@ def test_instanced_deforming_usd_prims_keep_their_first_shape(tmp_path: Path, ca
 
 
 @pytest.mark.parametrize("stands_first", [True, False])
-def test_deforming_usd_prim_animates_but_its_instances_do_not(
+def test_deforming_usd_prim_is_animated_while_its_point_instances_stay_rigid(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, stands_first: bool
 ) -> None:
     """The prim is shown directly and by a point instancer, in either order."""

@@ -113,7 +113,7 @@ def test_usd_round_trip_keeps_cameras(tmp_path: Path, camera: ls.Camera) -> None
         assert getattr(first, name) == pytest.approx(getattr(camera, name), rel=2e-7), name
 
 
-def test_invalid_usd_cameras_are_refused_by_name(tmp_path: Path) -> None:
+def test_error_for_an_invalid_usd_camera_names_the_camera(tmp_path: Path) -> None:
     """Errors are a camera without an aperture width, and an unknown projection."""
     with pytest.raises(FormatError, match=r"/view: horizontalAperture is 0, expected a length above 0"):
         cameras(tmp_path, "float horizontalAperture = 0")

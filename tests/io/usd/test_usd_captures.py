@@ -119,7 +119,7 @@ def test_usd_sh_coefficients_are_stored_particle_by_particle(tmp_path: Path) -> 
     np.testing.assert_array_equal(scene.splats[0].gaussians.sh, stored.reshape(2, 4, 3))
 
 
-def test_usd_half_attributes_are_used_only_without_float_ones(tmp_path: Path) -> None:
+def test_half_precision_usd_attributes_are_read_only_if_float_ones_are_missing(tmp_path: Path) -> None:
     """An attribute ending in h replaces a missing float attribute."""
     halves = {
         "point3f[] positions": "",
@@ -181,7 +181,9 @@ def test_usd_sh_above_degree_three_are_dropped(tmp_path: Path, caplog: pytest.Lo
     assert "SH above degree 3 (/splats)" in caplog.text
 
 
-def test_unsupported_usd_particle_kernels_are_refused_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_error_for_an_unsupported_usd_particle_kernel_names_the_kernel(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Discs of constant opacity are refused; Gaussian surflets become flat Gaussians."""
     kernel = '"ParticleFieldPositionAttributeAPI", "ParticleFieldScaleAttributeAPI", "ParticleFieldKernel{}API"'
     constant = field(kind="ParticleField", schemas=kernel.format("ConstantSurflet"))
@@ -234,7 +236,7 @@ def test_foreign_usd_materials_of_captures_are_ignored_silently(
     assert not caplog.text
 
 
-def test_prim_type_name_of_nuke_with_an_underscore_is_read(tmp_path: Path) -> None:
+def test_nukes_usd_type_name_particlefield_3dgaussiansplat_is_recognised(tmp_path: Path) -> None:
     """Nuke 17.0 writes ParticleField_3DGaussianSplat."""
     path = write_usda(tmp_path / "a.usda", field(kind="ParticleField_3DGaussianSplat"))
     assert load_gaussians(path).count == 2
@@ -287,7 +289,7 @@ def test_nested_usd_transforms_rotate_and_stretch_gaussians(tmp_path: Path) -> N
     np.testing.assert_allclose(coefficients, (0.0, 3.0, 2.0, -1.0), atol=1e-6)
 
 
-def test_invalid_usd_particles_are_refused_or_dropped_on_request(tmp_path: Path) -> None:
+def test_usd_captures_with_invalid_particles_are_refused_unless_told_to_drop_them(tmp_path: Path) -> None:
     """The error names the option that drops invalid particles."""
     path = write_usda(tmp_path / "a.usda", field({"float3[] scales": "[(1, nan, 1), (1, 1, 1)]"}))
     with pytest.raises(FormatError, match=r"in 1 of 2 Gaussians; --drop-invalid"):

@@ -168,7 +168,7 @@ def test_usd_dome_light_image_is_centred_on_plus_z(
     np.testing.assert_allclose(-forward, expected, atol=1e-6)  # images of LightEnvironment have -z in the middle
 
 
-def test_quarter_of_a_usd_dome_light_image_is_plus_x(tmp_path: Path) -> None:
+def test_point_a_quarter_along_a_usd_dome_light_image_shows_the_direction_plus_x(tmp_path: Path) -> None:
     """The direction a quarter of the width from the left edge is +x."""
     usd_core()
     image = np.zeros((2, 4, 3), np.float32)

@@ -171,7 +171,9 @@ def test_constants_of_usd_preview_surfaces_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("stored", "expected"), [("", False), ("uniform bool doubleSided = 1", True)])
-def test_usd_emission_is_one_sided_unless_double_sided(tmp_path: Path, stored: str, expected: bool) -> None:
+def test_usd_material_emits_on_both_sides_only_if_the_mesh_is_double_sided(
+    tmp_path: Path, stored: str, expected: bool
+) -> None:
     """The default of doubleSided is one side."""
     applied, binding = bound()
     body = mesh(f"{binding}\n{stored}", applied=applied) + material("color3f inputs:emissiveColor = (4, 5, 6)")
@@ -253,7 +255,7 @@ def test_usd_texture_transform_scales_rotates_then_translates(tmp_path: Path) ->
     np.testing.assert_allclose(found.uvs[1], (0.5, 1.0 - 2.0), atol=1e-6)
 
 
-def test_usd_vertex_colours_need_a_shader_that_reads_them(tmp_path: Path) -> None:
+def test_usd_vertex_colours_are_used_only_if_a_shader_reads_them(tmp_path: Path) -> None:
     """Only a shader that reads displayColor uses the mesh's colours."""
     colors = """color3f[] primvars:displayColor = [(1, 0, 0)] ( interpolation = "constant" )"""
     reader = """def Shader "v" {

@@ -114,7 +114,9 @@ def test_scenes_written_to_usd_pass_the_validators_of_usd_core(tmp_path: Path, e
         assert {file.name for file in (tmp_path / "scene_textures").iterdir()} >= {"sky.exr", "textures_normal.png"}
 
 
-def test_losses_of_writing_a_scene_to_usd_are_one_log_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_all_features_of_a_scene_lost_in_usd_are_named_in_one_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """The warning lists everything that OpenUSD cannot store."""
     usd_core()
     ls.save(tmp_path / "a.usdc", full_scene("y-down"))
@@ -174,7 +176,7 @@ def test_single_mesh_is_written_to_usd_as_a_scene(tmp_path: Path) -> None:
     assert len(loaded.meshes) == 1 and loaded.up_direction == (0.0, 1.0, 0.0)
 
 
-def test_single_usd_capture_loads_as_gaussians_unless_it_has_settings(tmp_path: Path) -> None:
+def test_usd_with_one_capture_loads_as_a_scene_only_if_it_has_a_material_or_flag(tmp_path: Path) -> None:
     """The transform is applied to the Gaussians, with y down; a material or shadow catcher flag makes a scene."""
     usd_core()
     ls.save(tmp_path / "a.usdc", ls.Scene([ls.SplatInstance(capture(5), position=(1, 2, 3))], up="y-down"))

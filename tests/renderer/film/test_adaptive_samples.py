@@ -49,7 +49,7 @@ def assert_equal(found: ls.Frame, expected: ls.Frame) -> None:
         np.testing.assert_array_equal(image(found, name), image(expected, name), name)
 
 
-def test_adaptively_sampled_pixels_equal_frames_of_the_same_fixed_sample_count() -> None:
+def test_adaptively_sampled_pixel_equals_that_of_a_frame_with_its_sample_count() -> None:
     """The bits are equal, because samples, sub-pixel positions and low-discrepancy points are numbered without gaps."""
     found, counts = adaptive(), image(adaptive(), "sample_count")
     assert counts.min() == 16 + 24 * SAMPLE_RATE_MIN // SAMPLE_RATES and counts.max() == 40
@@ -76,7 +76,7 @@ def test_adaptive_frames_do_not_depend_on_interruptions_or_thread_count(threads:
 
 
 @pytest.mark.parametrize("schedule", BACKENDS[1:])
-def test_cpu_and_cuda_schedules_choose_the_same_adaptive_sample_counts(schedule: str) -> None:
+def test_adaptive_sample_counts_of_the_cpu_and_cuda_schedules_are_almost_equal(schedule: str) -> None:
     """CUDA's schedule runs on the CPU, with and without graphs; rounding may change a few counts."""
     frame = renderer_of(schedule, PATHS).render(lit_room(), view())
     counts = image(frame, "sample_count"), image(adaptive(), "sample_count")
@@ -85,7 +85,7 @@ def test_cpu_and_cuda_schedules_choose_the_same_adaptive_sample_counts(schedule:
     assert frame.stats is not None and frame.stats.nonfinite_count == 0
 
 
-def test_frame_with_a_noise_target_ends_at_the_same_sample_when_interrupted() -> None:
+def test_interrupted_frame_with_a_noise_target_takes_as_many_samples_as_an_uninterrupted() -> None:
     """The frame ends at the same sample, however often it was interrupted; a finished frame gets no more samples."""
     settings = replace(PATHS, samples=None, noise=0.15, adaptive=None)
     whole = ls.render(lit_room(), view(), settings, device="cpu")
@@ -222,7 +222,9 @@ def test_adaptive_sampling_of_rasterised_frames_is_refused() -> None:
     ("changes", "names"),
     [({"noise": 0.1}, "noise"), ({"adaptive": False}, "adaptive"), ({"aovs": ("albedo",)}, "aovs")],
 )
-def test_adaptive_frames_resume_only_with_equal_noise_target_and_layers(changes: dict[str, Any], names: str) -> None:
+def test_adaptive_frame_is_resumed_only_with_the_same_noise_target_and_layers(
+    changes: dict[str, Any], names: str
+) -> None:
     """A frame with another noise target or with other layers is refused in one line."""
     renderer = ls.create_renderer(replace(PATHS, **changes), "cpu")
     with pytest.raises(ls.ConfigError, match=rf"other settings: they differ in {names}$"):

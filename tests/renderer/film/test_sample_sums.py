@@ -66,7 +66,7 @@ def test_relative_variance_is_luminance_variance_over_squared_mean_luminance() -
     assert statistics(grey)[3] == pytest.approx(grey[:, 0].var(ddof=1) / grey.mean() ** 2, rel=1e-5)
 
 
-def test_film_measures_no_variance_among_equal_samples() -> None:
+def test_film_measures_zero_variance_for_pixels_whose_samples_are_equal() -> None:
     """10,000 equal samples have no variance beyond rounding."""
     _, variance, _, noise = statistics(np.full((10_000, 3), 0.1))
     assert (variance >= 0.0).all() and variance.max() < 1e-15 and noise < 1e-13
@@ -79,7 +79,7 @@ def test_noise_estimates_include_darker_pixels_at_higher_exposure() -> None:
     assert least_luminance(2.0, is_lit=False) == pytest.approx(0.0998, abs=1e-4)
 
 
-def test_noise_quantile_is_an_element_of_the_data() -> None:
+def test_quantile_of_pixel_noise_is_one_of_the_values_without_interpolation() -> None:
     """The quantile is the smallest value that the given fraction does not exceed."""
     values = np.random.default_rng(7).permutation(np.arange(1, 101)).astype(np.float32)
     assert quantile(values, 0.95) == 95.0
@@ -89,7 +89,7 @@ def test_noise_quantile_is_an_element_of_the_data() -> None:
     assert np.isfinite(quantile(values, 0.95))
 
 
-def test_noise_is_estimated_eight_times_while_the_sample_count_doubles() -> None:
+def test_noise_of_a_frame_is_estimated_eight_times_per_doubling_of_its_samples() -> None:
     """The first estimate is made at 16 samples."""
     checks = [n for n in range(1000) if is_noise_checked(n)]
     assert checks[:9] == [16, 18, 20, 22, 24, 26, 28, 30, 32]

@@ -94,7 +94,9 @@ def test_alpha_blending_of_unlit_surfaces_mixes_display_encoded_colours() -> Non
 
 @pytest.mark.parametrize("pipeline", SAMPLED)
 @pytest.mark.parametrize(("alpha", "mode"), [(0.25, ls.AlphaMode.BLEND), (1.0, ls.AlphaMode.MASK)])
-def test_surface_with_alpha_blocks_light_by_its_alpha(pipeline: ls.Pipeline, alpha: float, mode: ls.AlphaMode) -> None:
+def test_alpha_of_a_surface_is_the_fraction_of_light_that_it_blocks(
+    pipeline: ls.Pipeline, alpha: float, mode: ls.AlphaMode
+) -> None:
     """Light is reduced behind the right half of a screen, which has alpha, and not behind its left half."""
     shade = replace(
         emitting((1.0, 1.0, 1.0), base_color_texture=HALVES, alpha_mode=mode, alpha=alpha), emissive=(0.0,) * 3
@@ -123,7 +125,7 @@ def test_mirrors_reflect_alpha_masked_and_alpha_blended_surfaces(pipeline: ls.Pi
     np.testing.assert_allclose(frame.color[:, 17:].mean(axis=(0, 1)), GREEN, atol=1e-5)
 
 
-def test_emitter_with_alpha_emits_as_much_as_an_opaque_one_dimmed_by_alpha() -> None:
+def test_emitter_of_alpha_a_lights_a_floor_like_an_opaque_one_of_a_times_its_radiance() -> None:
     """The light on a floor is the same for an emitting square with alpha and for an opaque, darker one."""
     floor = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
     settings: dict[str, Any] = {"max_bounces": 1, "background": None}

@@ -57,7 +57,9 @@ def assert_absorbed(case: Case, light: ls.LightPoint | ls.LightSphere, pipeline:
 
 @TRACED
 @pytest.mark.parametrize("name", CASES)
-def test_absorbing_body_attenuates_paths_to_the_light_and_to_the_camera(pipeline: ls.Pipeline, name: str) -> None:
+def test_absorbing_body_attenuates_light_on_its_way_in_and_on_its_way_to_the_camera(
+    pipeline: ls.Pipeline, name: str
+) -> None:
     """The light is a point, which rays cannot hit, so that its shadow rays pass through the body."""
     assert_absorbed(CASES[name], ls.LightPoint(CASES[name].light * SLANT, intensity=50.0), pipeline)
 

@@ -41,7 +41,7 @@ def test_transmittance_of_a_glass_slab_follows_beers_law(pipeline: ls.Pipeline, 
     np.testing.assert_allclose(color(scene, pipeline, 4), truth, rtol=2e-5)
 
 
-def test_absorption_in_unlit_frames_multiplies_display_values() -> None:
+def test_absorption_in_unlit_frames_multiplies_display_encoded_colours() -> None:
     """The transmittance is sRGB-encoded before it multiplies displayed colours, as tints are."""
     inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
     settings = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=(0.5, 0.5, 0.5), lighting=False)
@@ -101,7 +101,7 @@ def test_thin_walled_pane_does_not_shift_objects_behind_it(pipeline: ls.Pipeline
 
 @TRACED
 @pytest.mark.parametrize(("water_priority", "ice_priority", "in_ice"), [(0, 0, 1.0), (0, 1, 2.0), (1, 0, 1.0)])
-def test_overlap_of_two_media_is_the_medium_of_higher_priority(
+def test_where_two_media_overlap_light_travels_in_the_medium_of_higher_priority(
     pipeline: ls.Pipeline, water_priority: int, ice_priority: int, in_ice: float
 ) -> None:
     """Ice is half in water: the overlap is the medium of higher priority or, at equal priority, the one entered last.

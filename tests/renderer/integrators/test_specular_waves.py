@@ -76,7 +76,7 @@ def aims(rng: np.random.Generator, mesh: ls.Mesh, count: int) -> np.ndarray:
 # --- Colours ---
 
 
-def test_rough_mesh_shows_its_base_colour_without_reflected_rays(rig: RayRig) -> None:
+def test_rays_that_hit_a_rough_mesh_show_its_base_colour_and_spawn_no_reflected_rays(rig: RayRig) -> None:
     """One wave of rays is traced; rays that miss the mesh return the background."""
     grey = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1), metallic=1.0, transmission=1.0)
     along = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
@@ -106,7 +106,7 @@ def test_mirror_tilted_by_45_degrees_turns_rays_by_90_degrees(rig: RayRig) -> No
     np.testing.assert_allclose(seen[0], 0.5 * encode_srgb(head_on), atol=1e-5)
 
 
-def test_reflected_rays_store_the_length_of_the_whole_path(rig: RayRig) -> None:
+def test_reflected_rays_store_the_length_of_the_path_from_the_camera(rig: RayRig) -> None:
     """After any number of reflections, the stored length equals the path to the virtual eye behind all mirrors."""
     scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
     along = normalized(np.array([[0.3, 0.1, 1.0]]))
@@ -158,7 +158,7 @@ def test_glass_slab_reflects_and_transmits_by_fresnels_equations(rig: RayRig) ->
     np.testing.assert_allclose(seen[0], expected, atol=1e-5)
 
 
-def test_partly_transmitting_glass_adds_its_base_colour(rig: RayRig) -> None:
+def test_partly_transmitting_glass_adds_the_light_of_its_diffuse_base_colour(rig: RayRig) -> None:
     """The fraction that is neither reflected nor transmitted shows the base colour."""
     paint = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), roughness=0.0, transmission=0.25)
     scene = ls.Scene([], [quad(1.0, material=paint)])
@@ -185,7 +185,7 @@ def test_gaussians_are_blended_on_every_segment_of_a_mirror_or_glass_path(rig: R
         np.testing.assert_allclose(seen[0], haze + 0.5 * (haze + 0.5 * environment), atol=1e-6)
 
 
-def test_mirror_and_glass_rays_below_1_512_of_the_pixel_are_not_traced() -> None:
+def test_mirror_and_glass_rays_of_less_than_1_512_of_a_pixels_weight_are_not_traced() -> None:
     """A ray ends below 1/512 whether reflectance, tint or transmittance of Gaussians makes it faint."""
     head_on = ls.Scene([], [quad(2.0, material=ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0))])
     for specular, transmittance, waves in ((1.0, 1.0, 2), (0.05, 1.0, 2), (0.048, 1.0, 1), (1.0, 0.048, 1)):
@@ -203,7 +203,7 @@ def test_mirror_path_ends_when_the_product_of_reflectances_is_below_1_512(rig: R
     assert len(rig.waves) == 1 + 3
 
 
-def test_rays_of_a_mirror_and_glass_ray_tree_have_independent_random_numbers(rig: RayRig) -> None:
+def test_rays_into_which_glass_splits_a_camera_ray_share_no_random_numbers(rig: RayRig) -> None:
     """No two rays that one camera ray splits into share random numbers."""
     rig.colors(ls.Scene([], [slab(1.0, 0.3, GLASS)]), ORIGIN, normalized(np.array([[0.5, 0.0, 1.0]])), bounces=4)
     sample_keys = np.concatenate([wave.sample_key for wave in rig.waves])
@@ -309,7 +309,7 @@ def test_refracted_rays_skip_the_entered_surface_and_hit_the_opposite_one(
     assert (wave.t_max[refracted] > 1e-3 * scale).mean() > 0.999
 
 
-def test_mirrored_instance_of_a_glass_body_renders_like_a_mirrored_mesh(rig: RayRig) -> None:
+def test_glass_body_mirrored_by_its_transform_renders_like_a_mesh_with_mirrored_vertices(rig: RayRig) -> None:
     """Colours of the mirrored instance equal those of a mesh with mirrored vertices."""
     mesh = shapes.rounded_box((1.0, 2.0, 0.8), 0.2)
     lens = replace(mesh, material=replace(GLASS, base_color=(0.9, 0.7, 0.4)))
@@ -352,7 +352,7 @@ def test_colours_of_mirrors_and_glass_do_not_depend_on_thread_count() -> None:
     np.testing.assert_array_equal(one, three)
 
 
-def test_mirror_and_glass_rays_of_similar_views_reuse_their_buffers(rig: RayRig) -> None:
+def test_mirror_and_glass_rays_of_a_similar_next_view_allocate_no_memory(rig: RayRig) -> None:
     """A view with a few more or fewer rays in glass allocates nothing, and earlier rays do not change its colours."""
     rng = np.random.default_rng(9)
     along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))

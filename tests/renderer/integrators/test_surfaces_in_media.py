@@ -39,7 +39,7 @@ def color(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: A
 @TRACED
 @pytest.mark.parametrize("ior", [1.5, 1.33, 1.1, 1.0])
 @pytest.mark.parametrize("thin_walled", [False, True])
-def test_reflectance_under_water_at_normal_incidence_uses_both_indices(
+def test_reflectance_of_a_surface_under_water_depends_on_the_indices_of_both(
     pipeline: ls.Pipeline, ior: float, thin_walled: bool
 ) -> None:
     """Black varnish, or a black pane, in white light reflects ((n1 - n2) / (n1 + n2))^2 for the indices n1 and n2."""
@@ -53,7 +53,7 @@ def test_reflectance_under_water_at_normal_incidence_uses_both_indices(
 
 @TRACED
 @pytest.mark.parametrize(("kind", "roughness"), [("mesh", 0.0), ("mesh", 0.5), ("capture", 0.5)])
-def test_underwater_body_is_shaded_like_one_in_air_with_the_relative_index(
+def test_body_under_water_is_shaded_like_a_body_in_air_of_the_relative_refractive_index(
     pipeline: ls.Pipeline, kind: str, roughness: float
 ) -> None:
     """The test compares highlight and diffuse reflection of a light behind the camera."""

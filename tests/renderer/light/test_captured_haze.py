@@ -41,7 +41,7 @@ def frame_of(splats: list[ls.SplatInstance], pipeline: ls.Pipeline = ls.Pipeline
 @PIPELINES
 @pytest.mark.parametrize("kind", KEPT)
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.9, 0.6, 0.1), None], ids=["black", "orange", "none"])
-def test_emissive_haze_without_a_surface_is_equal_in_lit_and_unlit_frames(
+def test_captured_haze_too_thin_for_a_surface_is_equal_in_lit_and_unlit_frames(
     background: tuple[float, float, float] | None, kind: str, pipeline: ls.Pipeline
 ) -> None:
     """The bits are equal where alpha is too low for an iso-opacity surface."""
@@ -56,7 +56,9 @@ def test_emissive_haze_without_a_surface_is_equal_in_lit_and_unlit_frames(
 @PIPELINES
 @pytest.mark.parametrize("first", ["captured", "relit"])
 @pytest.mark.parametrize("opacity", [0.12, 0.5, 0.9])
-def test_frame_of_emissive_and_relit_haze_is_the_sum_of_both(opacity: float, first: str, pipeline: ls.Pipeline) -> None:
+def test_light_of_overlapping_emissive_and_relit_haze_is_the_sum_of_both(
+    opacity: float, first: str, pipeline: ls.Pipeline
+) -> None:
     """The sum holds whichever set is in front, and whether or not there is an iso-opacity surface."""
     depths = (2.0, 2.5) if first == "captured" else (2.5, 2.0)
     captured = ls.SplatInstance(veil(depths[0], opacity, GREEN))
@@ -71,7 +73,9 @@ def test_frame_of_emissive_and_relit_haze_is_the_sum_of_both(opacity: float, fir
 
 
 @pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
-def test_stochastic_hits_of_emissive_and_relit_layers_are_unbiased(strategy: ls.config.TraceStrategy) -> None:
+def test_mean_of_stochastic_hits_on_emissive_and_relit_layers_equals_the_sorted_blend(
+    strategy: ls.config.TraceStrategy,
+) -> None:
     """Three layers of emissive and relit sets have the sorted mean, for both stochastic strategies."""
     splats = [
         ls.SplatInstance(veil(2.0, 0.3, GREEN)),
@@ -86,7 +90,9 @@ def test_stochastic_hits_of_emissive_and_relit_layers_are_unbiased(strategy: ls.
 
 @PIPELINES
 @pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside a captured set"])
-def test_relit_haze_too_thin_for_a_surface_is_lit_by_its_alpha(beside: bool, pipeline: ls.Pipeline) -> None:
+def test_relit_haze_too_thin_for_a_surface_reflects_light_in_proportion_to_its_alpha(
+    beside: bool, pipeline: ls.Pipeline
+) -> None:
     """Brightness does not jump where alpha reaches 0.3, from which on an iso-opacity surface exists."""
     material = ls.MaterialSimple(emissive=(0.0, 0.0, 0.0), diffuse=(1.0, 1.0, 1.0))
     more = [ls.SplatInstance(veil(9.0, 1e-6, GREEN))] if beside else []
@@ -98,7 +104,7 @@ def test_relit_haze_too_thin_for_a_surface_is_lit_by_its_alpha(beside: bool, pip
 
 
 @PIPELINES
-def test_captured_pixels_outside_a_relit_set_equal_the_unlit_frame(pipeline: ls.Pipeline) -> None:
+def test_pixels_that_no_relit_gaussian_covers_are_equal_in_lit_and_unlit_frames(pipeline: ls.Pipeline) -> None:
     """Pixels that no relit Gaussian covers have equal bits in the lit and the unlit frame."""
     capture = ls.SplatInstance(veil(2.0, 0.6, GREEN))
     spot = ls.Gaussians([[-0.4, 0.0, 1.9]], [[1.0, 0.0, 0.0, 0.0]], [[0.05, 0.05, 0.05]], [0.8], flat_sh(RED[None]))
@@ -111,7 +117,7 @@ def test_captured_pixels_outside_a_relit_set_equal_the_unlit_frame(pipeline: ls.
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @PIPELINES
-def test_cpu_and_cuda_schedules_agree_on_alternating_emissive_and_relit_layers(
+def test_cpu_and_cuda_schedules_blend_emissive_and_relit_layers_to_equal_frames(
     pipeline: ls.Pipeline, backend: str
 ) -> None:
     """Between the layers is a mesh; all frames agree up to rounding."""

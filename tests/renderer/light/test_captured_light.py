@@ -74,7 +74,7 @@ def test_diffuse_mesh_inside_a_uniform_capture_shows_its_albedo(pipeline: ls.Pip
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_irradiance_on_a_mesh_follows_the_bright_half_of_the_capture_around_it(axis: int) -> None:
+def test_mesh_inside_a_half_bright_capture_receives_one_plus_cosine_over_two(axis: int) -> None:
     """Irradiance is (1 + cosine) / 2 by the angle between the normal and the centre of the bright half."""
     along = even_directions(3000)
     colors = np.where(along[:, axis, None] > 0.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])
@@ -86,7 +86,7 @@ def test_irradiance_on_a_mesh_follows_the_bright_half_of_the_capture_around_it(a
     assert abs(error.mean()) < 0.01 and np.sqrt(np.mean(error**2)) < 0.03
 
 
-def test_light_of_a_capture_on_a_mesh_is_rendered_again_after_the_mesh_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_that_a_capture_casts_on_a_mesh_is_updated_after_the_mesh_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     """A new object at the same position does not render the light again; frames equal those of a new renderer."""
     found, made = captured_light.captured_light, list[object]()
     boxes = list[np.ndarray]()
@@ -129,7 +129,7 @@ def test_lighting_a_mesh_by_a_capture_does_not_change_captured_pixels() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_mesh_outside_a_capture_is_lit_by_a_headlight(share: float) -> None:
+def test_mesh_that_no_capture_surrounds_is_lit_by_a_headlight(share: float) -> None:
     """Beside a captured figure, or on a captured floor without a sky, the frame equals that of lighting=True."""
     capture = shell(np.array([0.5, 0.5, 0.5]), share) if share else one_gaussian((1.5, 0.0, 4.0))
     scene = ls.Scene([capture], [octahedron((0.0, 0.0, 4.0), 1.0)])
@@ -140,7 +140,7 @@ def test_mesh_outside_a_capture_is_lit_by_a_headlight(share: float) -> None:
     np.testing.assert_array_equal(frame.color, headlit.color)
 
 
-def test_captures_do_not_light_meshes_if_lights_or_lighting_are_specified() -> None:
+def test_captures_do_not_light_meshes_if_the_scene_has_lights_or_lighting_is_set() -> None:
     """A light, a disabled light, or lighting set to True or False switches the light of captures off."""
     capture, light = shell(np.array([0.2, 0.2, 0.8])), ls.LightPoint(POSITION - (0, 0, 3), intensity=5.0)
     scene = ls.Scene([capture], [ball()])

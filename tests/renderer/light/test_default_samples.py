@@ -58,7 +58,7 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
         (scene(ENVIRONMENT), {"samples": 3}, 3),
     ],
 )
-def test_default_sample_count_is_1_unless_randomly_sampled_light_is_reflected_or_blocked(
+def test_default_sample_count_exceeds_1_only_if_surfaces_receive_randomly_sampled_light(
     content: ls.Scene, settings: dict[str, Any], samples: int
 ) -> None:
     """Environments, and lights with an extent under soft shadows, are sampled at random."""
@@ -111,7 +111,7 @@ def test_too_few_samples_log_one_warning_that_names_the_noisy_light(caplog: pyte
 
 
 @pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
-def test_default_sample_count_leaves_captured_pixels_equal_to_the_unlit_frame(pipeline: ls.Pipeline) -> None:
+def test_captured_pixels_beside_noisy_meshes_equal_the_unlit_frame_at_default_samples(pipeline: ls.Pipeline) -> None:
     """An emissive capture is in front of a noisy mesh; pixels without the mesh have the bits of the unlit frame."""
     content = scene(replace(ENVIRONMENT, visible=False))
     pose = np.eye(4)

@@ -28,7 +28,7 @@ def frame(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: A
 
 
 @pytest.mark.parametrize("look", LOOKS)
-def test_pipelines_agree_on_layered_materials_under_a_light(look: str) -> None:
+def test_all_pipelines_render_equal_clearcoat_sheen_and_rough_metal_under_a_light(look: str) -> None:
     """The scene is a ball without bounces; the layer, or multiple scattering, changes the image visibly."""
     compensated = look == "metal"
     scene = ls.Scene(meshes=[ball(0.3, ls.MaterialPbr(**(PLAIN | LOOKS[look])), rows=24)], lights=[LIGHT])
@@ -40,7 +40,7 @@ def test_pipelines_agree_on_layered_materials_under_a_light(look: str) -> None:
     assert np.abs(without - shown[0]).max() > 0.02
 
 
-def test_sheen_makes_relit_gaussians_brighter() -> None:
+def test_sheen_of_a_material_makes_relit_gaussians_brighter() -> None:
     """The mean colour of a relit ball rises by more than 0.005."""
     gaussians = ls.gaussians_from_mesh(ball(0.3, ls.MaterialPbr(base_color=(0.5, 0.1, 0.1))), 3000)
     shown = [

@@ -85,7 +85,7 @@ def psnr(first: np.ndarray, second: np.ndarray) -> float:
 
 @PIPELINES
 @pytest.mark.parametrize("name", OBJECTS)
-def test_mesh_and_gaussians_of_one_object_cast_equal_shadows(name: str, pipeline: ls.Pipeline) -> None:
+def test_mesh_of_an_object_and_gaussians_made_from_it_cast_equal_shadows(name: str, pipeline: ls.Pipeline) -> None:
     """The test compares masks of the shadows on the floor and of the object on itself."""
     mesh = lit(as_mesh(name), CAMERA, pipeline, aovs=("lights",))
     splats = lit(as_gaussians(name), CAMERA, pipeline, aovs=("lights",))
@@ -113,7 +113,7 @@ def test_mesh_and_gaussians_of_one_object_cast_equal_shadows(name: str, pipeline
 
 @PIPELINES
 @pytest.mark.parametrize("name", OBJECTS)
-def test_mesh_and_gaussians_of_one_object_are_shaded_equally(name: str, pipeline: ls.Pipeline) -> None:
+def test_mesh_of_an_object_and_gaussians_made_from_it_are_equally_bright(name: str, pipeline: ls.Pipeline) -> None:
     """The test compares unshadowed brightness away from edges.
 
     The rasteriser orders discs by their centres, so that discs that face the viewer get too much weight. Footprints
@@ -131,7 +131,7 @@ def test_mesh_and_gaussians_of_one_object_are_shaded_equally(name: str, pipeline
     assert np.abs(shone_too - shone).mean() < each * shone.mean()
 
 
-def test_raster_trace_and_hybrid_pipelines_shade_meshes_equally() -> None:
+def test_raster_trace_and_hybrid_pipelines_give_equal_frames_of_lit_meshes() -> None:
     """Frames of meshes differ only by rounding."""
     scene = as_mesh("tray")
     raster, trace, hybrid = (lit(scene, CAMERA, pipeline) for pipeline in DIRECT)
@@ -141,7 +141,7 @@ def test_raster_trace_and_hybrid_pipelines_shade_meshes_equally() -> None:
 
 
 @pytest.mark.parametrize("name", ["ring", "shiny sphere"])
-def test_raster_trace_and_hybrid_pipelines_shade_gaussians_equally(name: str) -> None:
+def test_raster_trace_and_hybrid_pipelines_give_equal_frames_of_lit_gaussians(name: str) -> None:
     """Raster and hybrid frames are equal; both differ from traced frames because of their footprints."""
     raster, trace, hybrid = (lit(as_gaussians(name), CAMERA, pipeline) for pipeline in DIRECT)
     assert_close(hybrid.color, raster.color, atol=1e-4)
@@ -171,7 +171,7 @@ def capture() -> ls.Gaussians:
 
 @PIPELINES
 @pytest.mark.parametrize("lights", [(LIGHT,), (replace(LIGHT, enabled=False),), ()], ids=["lamp", "off", "headlight"])
-def test_lighting_setting_changes_nothing_without_reflecting_surfaces(
+def test_turning_lighting_on_changes_nothing_if_no_surface_reflects_light(
     lights: tuple[ls.LightPoint, ...], pipeline: ls.Pipeline, tmp_path: Path
 ) -> None:
     """With any tone map, the frame has no light, and colours and files equal those of the unlit frame."""
@@ -192,7 +192,9 @@ def test_lighting_setting_changes_nothing_without_reflecting_surfaces(
 
 
 @PIPELINES
-def test_capture_in_front_of_a_lit_mesh_equals_the_unlit_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+def test_pixels_of_a_capture_in_front_of_a_lit_mesh_equal_those_of_the_unlit_frame(
+    pipeline: ls.Pipeline, tmp_path: Path
+) -> None:
     """Light on a floor changes neither the pixels of the capture in front of the floor nor the background."""
     half = parallelogram((-3.0, 0.0, 0.2), (3.2, 0.0, 0.0), (0.0, 0.0, -1.4), matte(0.8))
     scene = ls.Scene([capture()], [half], [LIGHT])

@@ -64,7 +64,9 @@ def test_plane_under_a_spot_light_matches_the_gltf_cone_falloff(pipeline: ls.Pip
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", ls.Shadows, ids=lambda shadows: shadows.value)
-def test_unblocked_lights_are_equally_bright_in_all_shadow_modes(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
+def test_unblocked_light_of_each_type_is_equally_bright_with_hard_soft_and_no_shadows(
+    pipeline: ls.Pipeline, shadows: ls.Shadows
+) -> None:
     """Spheres and distant discs above the horizon light like points at their centres; sampling adds only noise."""
     lights = [
         ls.LightPoint((0.4, 1.5, -0.3), intensity=7.0, radius=0.3),
@@ -93,7 +95,7 @@ def test_unblocked_lights_are_equally_bright_in_all_shadow_modes(pipeline: ls.Pi
 
 
 @PIPELINES
-def test_frame_is_the_sum_over_lights_of_unshadowed_light_times_shadow(pipeline: ls.Pipeline) -> None:
+def test_lit_frame_is_the_sum_over_lights_of_unshadowed_light_times_shadow_factor(pipeline: ls.Pipeline) -> None:
     """A disabled light adds nothing."""
     lights = [
         ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.2, 0.1), intensity=7.0, name="lamp"),
@@ -279,7 +281,7 @@ def test_plane_under_a_point_light_matches_the_formula_of_each_material(name: st
 
 
 @PIPELINES
-def test_simple_material_adds_emission_and_ambient_light_once_for_all_lights(pipeline: ls.Pipeline) -> None:
+def test_emission_and_ambient_light_of_a_simple_material_are_added_once_per_frame(pipeline: ls.Pipeline) -> None:
     """Diffuse reflection and Phong highlight are added for each light."""
     material = ls.MaterialSimple(
         base_color=(0.9, 0.7, 0.5),
@@ -347,7 +349,7 @@ FURNACE = {
 
 
 @pytest.mark.parametrize("name", FURNACE)
-def test_convex_objects_of_lossless_materials_are_invisible_in_a_white_furnace(name: str) -> None:
+def test_convex_objects_that_absorb_no_light_are_invisible_in_a_white_furnace(name: str) -> None:
     """A convex object of a lossless material cannot be distinguished from the constant environment."""
     material, off = FURNACE[name]
     camera = ls.Camera.look_at((1.5, 1.0, 2.6), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.6)

@@ -42,7 +42,7 @@ def test_captures_without_lights_are_rendered_unlit(scene: ls.Scene, is_lit: boo
     assert (ls.render(scene, front_camera(8, 6), device="cpu").light is not None) is is_lit
 
 
-def test_ray_queries_without_a_camera_get_no_headlight() -> None:
+def test_queried_rays_without_a_camera_are_not_lit_by_a_headlight() -> None:
     """A headlight needs a camera position."""
     scene = ls.Scene(meshes=[octahedron((0.0, 0.0, 4.0), 1.0)])
     unlit = ls.RenderConfig(lighting=False)

@@ -85,7 +85,7 @@ def test_resumed_lit_frames_equal_uninterrupted_ones() -> None:
             np.testing.assert_array_equal(getattr(resumed, name), getattr(at_once, name), name)
 
 
-def test_unlit_frames_cannot_be_resumed_as_lit_ones_nor_the_reverse() -> None:
+def test_resuming_an_unlit_frame_with_lighting_or_a_lit_one_without_is_refused() -> None:
     """An unlit frame cannot be resumed as a lit one, nor the reverse."""
     unlit = ls.render(scene(), camera(), config(lighting=False), device="cpu")
     bright = ls.render(scene(), camera(), config(), device="cpu")
@@ -105,7 +105,7 @@ def test_frames_are_lit_by_default_if_the_scene_has_lights_or_meshes() -> None:
     assert checked(ls.render(dark, camera(), config(lighting=True), device="cpu").light).max() > 0.1
 
 
-def test_noise_of_soft_shadows_falls_with_the_number_of_samples() -> None:
+def test_soft_shadows_of_16_samples_have_less_than_0_4_times_the_noise_of_one() -> None:
     """The error of 16 samples of an area light is less than 0.4 times that of one sample."""
     source = replace(LIGHTS[0], radius=0.3)
     renderers = [ls.create_renderer(config(shadows=ls.Shadows.SOFT, samples=n), "cpu") for n in (1, 16, 256)]
@@ -114,7 +114,7 @@ def test_noise_of_soft_shadows_falls_with_the_number_of_samples() -> None:
     assert errors[0] > 2.5 * errors[1] > 0.0
 
 
-def test_stochastic_splats_converge_to_sorted_splats() -> None:
+def test_mean_of_many_stochastic_splat_samples_converges_to_the_blend_of_sorted_splats() -> None:
     """Unlit frames without jitter converge to the blend of all sorted splats."""
     captures = replace(scene(), meshes=(), lights=())
     exact = ls.render(captures, camera(), config(ls.Pipeline.RASTER), device="cpu")
@@ -129,7 +129,7 @@ def test_stochastic_splats_converge_to_sorted_splats() -> None:
     assert 3.0 < errors[0] / errors[1] < 5.0, "16 times the samples, a quarter of the noise"
 
 
-def test_stochastic_splats_do_not_depend_on_set_order_or_schedule() -> None:
+def test_frames_of_stochastic_splats_do_not_depend_on_scene_order_or_schedule() -> None:
     """Sets are listed in another order, and pixels are processed one by one."""
     chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
     settings = config(ls.Pipeline.RASTER, raster=chance, samples=3)
@@ -140,7 +140,7 @@ def test_stochastic_splats_do_not_depend_on_set_order_or_schedule() -> None:
 
 
 @pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
-def test_frame_of_stochastic_splats_is_the_mean_of_separately_lit_samples(strategy: ls.config.TraceStrategy) -> None:
+def test_stochastic_splat_samples_are_lit_one_by_one_and_then_averaged(strategy: ls.config.TraceStrategy) -> None:
     """On thin surfaces, the mean of lit samples is close to the lit sorted frame."""
     settings = config(trace=ls.TraceConfig(strategy=strategy), shadows=ls.Shadows.OFF, samples=64, jitter=False)
     exact = replace(settings, trace=ls.TraceConfig(), samples=1)
@@ -229,7 +229,7 @@ def test_moving_a_light_between_frames_uploads_no_gaussians_or_meshes() -> None:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_roughness_of_a_previous_capture_is_not_reused_for_the_next_capture(pipeline: ls.Pipeline) -> None:
+def test_renderer_does_not_use_the_roughness_of_one_capture_for_the_next(pipeline: ls.Pipeline) -> None:
     """A renderer that switches to another capture gives the frame of a new renderer."""
     settings, view = ls.RenderConfig(pipeline=pipeline), front_camera()
     warm = ls.create_renderer(settings, "cpu")
@@ -304,7 +304,7 @@ def test_transparent_lit_frames_of_captures_have_premultiplied_colours(pipeline:
             np.testing.assert_allclose(frame.pixels_srgb()[..., :3], 0.5, atol=1e-3)
 
 
-def test_transparent_fisheye_frames_are_premultiplied_at_the_image_circle() -> None:
+def test_transparent_fisheye_frames_are_premultiplied_at_the_edge_of_the_image_circle() -> None:
     """In pixels of which only some samples have a ray, the captured part does not exceed the coverage."""
     fisheye = ls.Camera(
         width=32, height=32, fx=5.0, fy=5.0, cx=16.0, cy=16.0, camera_from_world=np.eye(4), model=ls.CameraModel.FISHEYE

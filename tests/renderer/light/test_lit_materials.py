@@ -85,7 +85,7 @@ def test_ambient_light_is_added_once_for_any_number_of_lights(lights: int, pipel
     np.testing.assert_allclose(middle(shadowless), albedo * [0.8, 0.7, 0.6], rtol=5e-3)
 
 
-def test_metallic_roughness_texture_multiplies_the_factors_of_the_material() -> None:
+def test_metallic_roughness_texture_multiplies_roughness_and_metallic_of_its_material() -> None:
     """Green is roughness and blue metallic; a texture looks like a material with the multiplied factors."""
     light = ls.LightDirectional((0.1, 0.05, 1.0), intensity=2.0)
     plain = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.8 * 0.4, metallic=0.8)
@@ -94,7 +94,7 @@ def test_metallic_roughness_texture_multiplies_the_factors_of_the_material() -> 
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
 
 
-def test_smooth_texels_of_a_rough_material_show_the_environment_as_a_highlight() -> None:
+def test_smooth_texels_of_a_rough_material_reflect_the_environment_without_mirror_rays() -> None:
     """Only smooth materials spawn mirror rays, so that smooth texels of rough materials have a highlight instead."""
     spotless = ls.MaterialPbr(
         base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0, metallic_roughness_texture=texture(0, 0, 255)
@@ -171,7 +171,7 @@ def test_relit_gaussians_are_shaded_with_their_stored_normals(pipeline: ls.Pipel
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_sh_degree_limit_of_one_set_does_not_affect_other_sets(pipeline: ls.Pipeline) -> None:
+def test_sh_degree_limit_of_one_gaussian_set_does_not_change_other_sets(pipeline: ls.Pipeline) -> None:
     """Degree 0 drops the view-dependent part of the colours of one set only."""
     capture = curtain()
     sh = np.concatenate([capture.sh, np.full((capture.count, 3, 3), 0.2, np.float32)], axis=1)
@@ -187,7 +187,7 @@ def test_sh_degree_limit_of_one_set_does_not_affect_other_sets(pipeline: ls.Pipe
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_captured_light_of_faint_splats_does_not_depend_on_their_material(pipeline: ls.Pipeline) -> None:
+def test_captured_colour_of_faint_splats_is_equal_for_emissive_and_reflecting_materials(pipeline: ls.Pipeline) -> None:
     """A layer below the iso-opacity threshold has the same captured part if its set reflects as if it only emits."""
     veil = curtain(rows=3, opacity=0.04)
     background = (0.2, 0.4, 0.6)
@@ -199,7 +199,7 @@ def test_captured_light_of_faint_splats_does_not_depend_on_their_material(pipeli
     np.testing.assert_array_equal(both.captured, emissive.captured)
 
 
-def test_light_behind_a_triangle_never_lights_it_by_tilted_shading_normals() -> None:
+def test_light_behind_a_triangle_adds_nothing_although_shading_normals_lean_towards_it() -> None:
     """The light adds nothing, however far the shading normals lean towards it."""
     plain = wall(diffuse())
     leaning = replace(plain, normals=np.tile([0.0, -0.9, -0.4359], (4, 1)))
@@ -207,7 +207,7 @@ def test_light_behind_a_triangle_never_lights_it_by_tilted_shading_normals() -> 
     assert middle(lit(ls.Scene(meshes=[leaning], lights=[below]), shadows=ls.Shadows.OFF)).max() == 0.0
 
 
-def test_stochastic_hits_of_relit_splats_have_the_mean_of_the_blended_light() -> None:
+def test_mean_light_of_stochastic_hits_on_relit_splats_equals_that_of_sorted_blending() -> None:
     """Samples that hit single Gaussians are lit over black and over white."""
     capture = curtain(rows=5, opacity=0.35)
     splats = ls.SplatInstance(capture, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1)))
@@ -224,7 +224,9 @@ def test_stochastic_hits_of_relit_splats_have_the_mean_of_the_blended_light() ->
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 @pytest.mark.parametrize("samples", [1, 32])
-def test_shadows_darken_sub_pixel_stripes_equally_for_any_sample_count(samples: int, pipeline: ls.Pipeline) -> None:
+def test_shadow_removes_one_fraction_of_a_finely_striped_capture_at_any_sample_count(
+    samples: int, pipeline: ls.Pipeline
+) -> None:
     """The capture has stripes narrower than pixels; a shadow removes the same fraction for any sample count."""
     x = np.linspace(-1.7, 1.7, 341)
     means = np.column_stack([x, np.zeros(341), np.full(341, 2.0)])
@@ -247,7 +249,7 @@ def test_shadows_darken_sub_pixel_stripes_equally_for_any_sample_count(samples: 
     np.testing.assert_allclose(dark.color.mean() / free.color.mean(), 1.0 / 3.0, rtol=0.03)
 
 
-def test_rough_glass_reflects_its_transmitted_light_without_path_tracing() -> None:
+def test_pipelines_other_than_path_render_rough_glass_as_diffusely_reflecting() -> None:
     """The transmitted fraction becomes diffuse reflection, so that no energy is lost."""
     frosted = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.4, transmission=1.0)
     plain = replace(frosted, transmission=0.0)

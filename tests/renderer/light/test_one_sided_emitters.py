@@ -54,7 +54,7 @@ def test_back_of_a_one_sided_emitter_is_black(pipeline: ls.Pipeline) -> None:
         np.testing.assert_allclose(frame.emission, expected, atol=1e-5)
 
 
-def test_one_sided_emitter_lights_by_its_form_factor_and_only_in_front() -> None:
+def test_one_sided_emitter_lights_a_surface_in_front_by_its_form_factor_and_none_behind() -> None:
     """Radiance is albedo times emission times form factor in front, and 0 behind the back."""
     expected = 0.5 * EMITTED * form_factor()
     for mirrored in (False, True):
@@ -67,7 +67,7 @@ def test_one_sided_emitter_lights_by_its_form_factor_and_only_in_front() -> None
 
 
 @pytest.mark.parametrize("roughness", [0.1, 1.0])
-def test_one_sided_and_two_sided_emitters_light_the_front_equally(roughness: float) -> None:
+def test_light_in_front_of_a_one_sided_emitter_equals_that_of_a_two_sided_one(roughness: float) -> None:
     """The bits are equal whether samples of lights or samples of a highlight find the emitter."""
     shown = []
     for double_sided in (False, True):
@@ -89,7 +89,7 @@ def test_radiance_inside_an_emitting_ball_equals_the_geometric_series() -> None:
     assert outwards.color.mean() < 1e-5
 
 
-def test_one_sided_emitters_light_only_in_front_in_the_realtime_pipeline() -> None:
+def test_realtime_pipeline_lights_only_surfaces_in_front_of_a_one_sided_emitter() -> None:
     """Light in front is within 3 % of path tracing, and there is none behind."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "cpu")
     lit, back = floor_below(LIGHT, faces_down=True), floor_below(LIGHT, faces_down=False)

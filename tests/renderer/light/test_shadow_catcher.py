@@ -58,7 +58,9 @@ def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settin
 
 @PIPELINES
 @pytest.mark.parametrize("ambient", [None, 0.2])
-def test_sun_shadow_on_a_shadow_catcher_leaves_the_ambient_light(pipeline: ls.Pipeline, ambient: float | None) -> None:
+def test_shadow_of_the_sun_on_a_shadow_catcher_does_not_remove_ambient_light(
+    pipeline: ls.Pipeline, ambient: float | None
+) -> None:
     """Below a disc, the ratio is the unblocked ambient irradiance over the sum of ambient irradiance and sun."""
     scene = ls.Scene([floor(0.3, ambient)], [disc()], [SUN])
     frame = rendered(scene, below(), pipeline)
@@ -69,7 +71,7 @@ def test_sun_shadow_on_a_shadow_catcher_leaves_the_ambient_light(pipeline: ls.Pi
 
 
 @PIPELINES
-def test_environment_light_replaces_the_default_ambient_light_of_catchers(pipeline: ls.Pipeline) -> None:
+def test_environment_light_of_a_scene_replaces_the_default_ambient_on_shadow_catchers(pipeline: ls.Pipeline) -> None:
     """The shadow ratio is the unblocked fraction of the environment over the sum of environment and sun."""
     environment = ls.LightEnvironment(color=(0.5, 0.6, 0.8), visible=False)
     frame = rendered(ls.Scene([floor(0.3)], [disc()], [SUN, environment]), below(), pipeline)
@@ -80,7 +82,7 @@ def test_environment_light_replaces_the_default_ambient_light_of_catchers(pipeli
 
 
 @PIPELINES
-def test_catcher_shadow_leaves_captured_light_that_no_scene_light_explains(pipeline: ls.Pipeline) -> None:
+def test_shadow_on_a_catcher_keeps_captured_light_that_scene_lights_cannot_explain(pipeline: ls.Pipeline) -> None:
     """A floor reflects no more than it receives, so that light missing from the scene must exist, and remains."""
     dim = replace(SUN, color=(1, 1, 1), intensity=0.2)
     frame = rendered(ls.Scene([floor(0.9, ambient=0.0)], [disc()], [dim]), below(), pipeline)
@@ -108,7 +110,9 @@ def channels(path: Path, name: str, letters: str) -> npt.NDArray[np.float64]:
 
 
 @PIPELINES
-def test_exr_layers_of_a_shadow_catcher_composite_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+def test_exr_layers_matte_and_ratio_composited_over_the_photograph_equal_the_frame(
+    pipeline: ls.Pipeline, tmp_path: Path
+) -> None:
     """``matte`` over the plate equals the frame; where only the capture shows, plate times ``ratio`` does, too."""
     sun = replace(SUN, direction=(0.7, -1.0, -0.3))
     captured = replace(floor(0.6), gaussians=replace(floor().gaussians, sh=_checkered(floor().gaussians)))
@@ -141,7 +145,9 @@ def test_exr_layers_of_a_shadow_catcher_composite_to_the_frame(pipeline: ls.Pipe
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=lambda one: one.value
 )
-def test_light_layers_on_shadow_catchers_add_up_to_the_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+def test_exr_light_layers_of_a_frame_with_shadow_catchers_add_up_to_the_frame(
+    pipeline: ls.Pipeline, tmp_path: Path
+) -> None:
     """Emission, direct light times shadow, and reflection are read by OpenEXR and sum to the frame."""
     sun = replace(SUN, direction=(0.7, -1.0, -0.3), name="sun")
     lights = [sun, ls.LightPoint((-1, 1.5, 1), intensity=4.0, name="bulb")]
@@ -181,7 +187,7 @@ def _far_from(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.TRACE], ids=["hybrid", "trace"])
-def test_shadow_on_a_catcher_is_not_lighter_at_edges_of_objects(pipeline: ls.Pipeline) -> None:
+def test_shadow_on_a_shadow_catcher_is_not_lighter_in_edge_pixels_of_objects(pipeline: ls.Pipeline) -> None:
     """In pixels at an edge, samples that hit the object do not lighten the shadow that the other samples find."""
     sun = replace(SUN, color=(1, 1, 1))
     below_all = replace(disc(), positions=disc().positions * np.array([4.0, 1.0, 4.0]))
@@ -196,7 +202,7 @@ def test_shadow_on_a_catcher_is_not_lighter_at_edges_of_objects(pipeline: ls.Pip
     assert frame.shadow_ratio[mixed].mean() < frame.shadow_ratio[clear].max()
 
 
-def test_blocked_and_bounced_light_of_a_catcher_is_bounded_by_its_received_light() -> None:
+def test_shadow_catcher_gains_or_loses_no_more_light_than_it_is_known_to_receive() -> None:
     """Given ambient light limits the light measured from captures; else measured light or the minimum counts."""
     one = dict.fromkeys(
         ("unshadowed", "change", "emitted_unshadowed", "emitted_change", "ambient", "blocked", "least"), np.zeros(1)
@@ -248,7 +254,7 @@ def sharp_steps(ratio: npt.NDArray[np.float32]) -> int:
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.PATH], ids=lambda one: one.value
 )
-def test_shadow_on_a_catcher_of_floaters_is_smooth(pipeline: ls.Pipeline) -> None:
+def test_shadow_on_a_shadow_catcher_of_scattered_floaters_is_smoothed(pipeline: ls.Pipeline) -> None:
     """Shadows on single floaters lie apart; the frame shows their mean, dark in the middle and unshadowed far away."""
     ratio = shadow_of_a_disc(floaters(), pipeline)
     assert sharp_steps(ratio) < 20
@@ -256,14 +262,14 @@ def test_shadow_on_a_catcher_of_floaters_is_smooth(pipeline: ls.Pipeline) -> Non
     assert ratio[:, 130:].min() > 0.85
 
 
-def test_shadow_on_an_opaque_catcher_has_sharp_edges() -> None:
+def test_hard_shadow_on_an_opaque_shadow_catcher_keeps_sharp_edges() -> None:
     """Pixels at the edge are fully lit or fully shadowed, without smoothing."""
     ratio = shadow_of_a_disc(floor(0.6), ls.Pipeline.HYBRID)
     rows = (ratio < 0.6).any(axis=1).sum()
     assert rows > 70 and sharp_steps(ratio) >= 2 * rows - 4
 
 
-def test_smoothed_catcher_shadows_are_equal_in_all_schedules() -> None:
+def test_smoothed_shadows_on_shadow_catchers_do_not_depend_on_the_schedule() -> None:
     """Bits are equal for any number of threads and for graphs; CUDA's schedule rounds differently."""
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=80, height=60, fov_y=0.3)
     lid = replace(disc(), positions=disc().positions * np.array([0.6, 1.0, 0.6]))

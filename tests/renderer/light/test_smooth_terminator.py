@@ -53,7 +53,7 @@ def misjudged(coarse: ls.Frame, fine: ls.Frame) -> tuple[float, float]:
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.OFF], ids=lambda shadows: shadows.value)
-def test_coarse_smooth_sphere_under_a_point_light_is_lit_like_a_fine_one(
+def test_sphere_of_few_smooth_triangles_is_lit_by_a_point_light_like_one_of_many(
     shadows: ls.Shadows, pipeline: ls.Pipeline
 ) -> None:
     """A sphere of 12 meridians is lit up to the terminator, and not beyond."""
@@ -75,7 +75,7 @@ def test_coarse_smooth_sphere_under_a_point_light_is_lit_like_a_fine_one(
     ],
     ids=["sun", "lamp"],
 )
-def test_coarse_smooth_sphere_under_an_area_light_is_lit_like_a_fine_one(light: Light) -> None:
+def test_sphere_of_few_smooth_triangles_is_lit_by_an_area_light_like_one_of_many(light: Light) -> None:
     """The lights are a sun of 6 degrees and a nearby area light."""
     coarse, fine = (frame_of([sphere(count)], light, shadows=ls.Shadows.SOFT, samples=16) for count in (12, 192))
     dark, lit = misjudged(coarse, fine)
@@ -84,7 +84,7 @@ def test_coarse_smooth_sphere_under_an_area_light_is_lit_like_a_fine_one(light: 
 
 
 @PIPELINES
-def test_surfaces_facing_away_from_the_light_stay_black(pipeline: ls.Pipeline) -> None:
+def test_surfaces_of_coarse_meshes_that_face_away_from_the_light_are_black(pipeline: ls.Pipeline) -> None:
     """The surfaces are a coarse smooth sphere, and a box with face normals."""
     ball = frame_of([sphere(12)], BEHIND, pipeline)
     assert ball.alpha.max() == 1.0
@@ -109,7 +109,7 @@ def cube(half: float = 0.7) -> ls.Mesh:
     return ls.Mesh(positions, faces, normals=normals, material=matte(1.0))
 
 
-def test_coarse_smooth_meshes_leak_no_light_into_a_closed_room() -> None:
+def test_coarse_meshes_with_smooth_normals_let_no_light_into_a_closed_room() -> None:
     """Coarse spheres inside the room touch its walls; the light is outside."""
     room = cube(1.0)
     balls = [sphere(8, (x, y, 0.0), 0.45) for x in (-0.55, 0.55) for y in (-0.55, 0.55)]
@@ -120,7 +120,7 @@ def test_coarse_smooth_meshes_leak_no_light_into_a_closed_room() -> None:
         assert not frame.color.any()
 
 
-def test_concave_creases_with_smoothed_normals_keep_their_shadow() -> None:
+def test_slope_facing_away_from_light_in_a_valley_with_smoothed_normals_is_black() -> None:
     """In a valley with smoothed normals, the slope that faces away from the light is black down to the bottom."""
     ends = np.array([[-1.0, 0.6], [0.0, 0.0], [1.0, 0.6]])
     positions = [[x, y, z] for z in (-1.0, 1.0) for x, y in ends]
@@ -137,7 +137,7 @@ def test_concave_creases_with_smoothed_normals_keep_their_shadow() -> None:
     assert frame.color[x < -20.0].all()
 
 
-def test_walls_behind_a_light_do_not_block_its_light() -> None:
+def test_wall_behind_a_light_does_not_block_its_shadow_rays() -> None:
     """Shadow rays from the ball end at the light."""
     source = ls.LightPoint((1.6, 0.0, -1.1), intensity=10.0)
     corners = [[1.66, -9.0, -9.0], [1.66, 9.0, -9.0], [1.66, 9.0, 9.0], [1.66, -9.0, 9.0]]

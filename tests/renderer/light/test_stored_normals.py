@@ -46,7 +46,7 @@ def silhouette(frame: ls.Frame) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_stored_normals_of_gaussians_are_correct_up_to_the_silhouette(pipeline: ls.Pipeline) -> None:
+def test_normal_layer_of_gaussians_with_stored_normals_is_right_up_to_the_silhouette(pipeline: ls.Pipeline) -> None:
     """Gaussians from just behind the horizon are visible, and their normals must not cancel those in front.
 
     Opaque Gaussians reach 3.3 scales, 0.1 units here: visible ones are at most acos(0.9) = 26 degrees from the horizon.
@@ -58,7 +58,7 @@ def test_stored_normals_of_gaussians_are_correct_up_to_the_silhouette(pipeline: 
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_gaussian_ball_lit_from_one_side_is_black_at_the_opposite_silhouette(pipeline: ls.Pipeline) -> None:
+def test_gaussian_ball_lit_from_one_side_is_black_at_the_silhouette_of_the_other_side(pipeline: ls.Pipeline) -> None:
     """If normals at the silhouette were flipped, they would be lit from behind the ball."""
     frame = seen(ball(), pipeline, ls.LightDirectional((-1.0, 0.0, 0.0), intensity=np.pi))
     missed, outwards = silhouette(frame)
@@ -70,7 +70,7 @@ def test_gaussian_ball_lit_from_one_side_is_black_at_the_opposite_silhouette(pip
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_stored_normals_more_than_30_degrees_behind_the_horizon_are_flipped(pipeline: ls.Pipeline) -> None:
+def test_stored_normals_that_face_away_by_more_than_30_degrees_are_flipped(pipeline: ls.Pipeline) -> None:
     """Normals less than 30 degrees behind the horizon are bent to the horizon instead."""
     for beyond, shown in ((70.0, "turned"), (40.0, "turned"), (20.0, "bent"), (1.0, "bent"), (-10.0, "kept")):
         along, across = np.sin(np.radians(beyond)), np.cos(np.radians(beyond))
@@ -82,7 +82,9 @@ def test_stored_normals_more_than_30_degrees_behind_the_horizon_are_flipped(pipe
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH])
-def test_gaussian_facing_slightly_away_is_shaded_as_if_facing_slightly_towards(pipeline: ls.Pipeline) -> None:
+def test_gaussian_whose_normal_faces_slightly_away_is_shaded_as_if_mirrored_to_the_viewer(
+    pipeline: ls.Pipeline,
+) -> None:
     """The surface reflects as if the eye were as far above its horizon as it is below, for any light.
 
     Shaded from just above the horizon, a glossy surface would be a mirror at every angle.

@@ -100,7 +100,7 @@ def test_transmission_texture_multiplies_the_transmission_of_smooth_glass(
     assert_halves(textured, "transmission", (0.2, 0.8), show)
 
 
-def test_transmission_texture_scales_the_light_that_passes_to_a_lit_surface() -> None:
+def test_transmission_texture_of_a_pane_scales_the_light_that_passes_to_surfaces_behind() -> None:
     """Each half of the glass transmits another fraction to the lit surface."""
     floor = quad((-9, -9, 0.3), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
     pane = wall(replace(GLASS, ior=1.0, transmission_texture=halves(0)))
@@ -154,7 +154,7 @@ def test_base_colour_and_emission_textures_have_separate_wrap_modes(pipeline: ls
     np.testing.assert_allclose(shown, [(low, high), (high, low)], rtol=rtol)
 
 
-def test_interpolated_sheen_albedo_curves_equal_quadrature() -> None:
+def test_sheen_albedo_interpolated_between_table_entries_is_close_to_quadrature() -> None:
     """For roughnesses between two table entries, the curve is close to the albedo and hardly below it."""
     curves = albedo_curves()
     for index in np.linspace(0.5, SHEEN_CURVES - 0.5, 9):

@@ -59,7 +59,9 @@ def test_n_bounces_in_a_closed_furnace_give_n_terms_of_the_geometric_series(boun
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.1), (-0.6, 0.5, 0.2)])
-def test_bounced_irradiance_in_an_integrating_sphere_is_uniform(place: tuple[float, float, float]) -> None:
+def test_irradiance_by_bounces_in_an_integrating_sphere_is_the_same_everywhere(
+    place: tuple[float, float, float],
+) -> None:
     """Irradiance is rho Phi / (4 pi R^2 (1 - rho)) for a light of power Phi anywhere, albedo rho and radius R."""
     light = ls.LightPoint(place, intensity=1.0)
     scene = ls.Scene(meshes=[ball(1.0, diffuse(0.5), hollow=True, rows=96)], lights=[light])
@@ -81,7 +83,7 @@ def test_irradiance_in_a_cube_below_an_emitting_ceiling_matches_collocation(
 
 
 @pytest.mark.parametrize("light", ["mesh", "rect", "sky"])
-def test_light_through_panes_of_index_1_is_counted_once(light: str) -> None:
+def test_light_seen_through_panes_of_refractive_index_1_is_counted_once(light: str) -> None:
     """Either refracted rays or light samples find the light, never both."""
     emitter = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if light == "mesh" else 0.0))
     lights: dict[str, list[Light]] = {
@@ -103,7 +105,7 @@ def test_light_through_panes_of_index_1_is_counted_once(light: str) -> None:
 
 
 @pytest.mark.parametrize("shadows", ["none of the light's", "short", "off"])
-def test_environment_without_shadows_lights_a_floor_below_a_roof(shadows: str) -> None:
+def test_environment_light_whose_shadows_are_off_lights_a_floor_below_a_roof(shadows: str) -> None:
     """Shadows are off, or the roof is beyond the shadow distance."""
     environment = ls.LightEnvironment(
         casts_shadow=shadows != "none of the light's", shadow_distance=0.5 if shadows == "short" else np.inf
@@ -173,7 +175,7 @@ def test_panel_of_captured_gaussians_lights_a_floor_by_its_form_factor() -> None
     np.testing.assert_allclose(values.mean(), np.pi * 0.5 * 0.239456, rtol=0.02)
 
 
-def test_visible_sphere_light_is_rendered_and_lights_by_the_closed_form() -> None:
+def test_visible_sphere_light_is_drawn_and_gives_its_closed_form_irradiance() -> None:
     """A sphere of radiance L and radius r at distance d gives irradiance pi L (r / d)^2, and is visible by default."""
     light = ls.LightSphere((0.0, 2.0, 0.0), 0.25, intensity=3.0)
     floor = quad((-5, 0, -5), (0, 0, 10), (10, 0, 0), diffuse(0.5))

@@ -42,7 +42,7 @@ def test_path_traced_emissive_capture_equals_the_trace_pipeline() -> None:
     np.testing.assert_array_equal(frame.light, 0.0)
 
 
-def test_path_traced_mirror_shows_captures_blended_in_display_values() -> None:
+def test_path_traced_mirror_shows_captures_blended_in_display_encoded_values() -> None:
     """Half-transparent black over white gives the display value 0.5, which is less light than half of white."""
     mirror = quad(
         (-5, -5, -2), (10, 0, 0), (0, 10, 0), ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.0)
@@ -53,7 +53,7 @@ def test_path_traced_mirror_shows_captures_blended_in_display_values() -> None:
     np.testing.assert_allclose(shown, linear(0.5), rtol=0.02)  # the alpha of a sheet is at most 0.99
 
 
-def test_path_traced_haze_in_front_of_a_lit_sheet_is_unbiased() -> None:
+def test_path_traced_captured_haze_and_a_lit_sheet_behind_contribute_by_blend_weight() -> None:
     """A captured sheet of opacity 0.3 is in front of a lit one of 0.8; each contributes by its blend weight."""
     scene = ls.Scene(
         splats=[captured_sheet(0.0, 0.3, (0.8, 0.8, 0.8)), wide_sheet(1.0, 0.8, 0.5)],
@@ -79,7 +79,7 @@ def test_light_behind_captured_haze_is_scaled_by_its_transmittance() -> None:
         np.testing.assert_allclose(frame.light, (1.0 - opacity) * alone.light, rtol=2e-3)
 
 
-def test_floor_below_two_captured_panels_receives_their_blended_display_value() -> None:
+def test_floor_below_overlapping_captured_panels_is_lit_by_their_blended_display_colour() -> None:
     """A white panel of opacity 0.5 covers a black one; the floor receives the decoded display value 0.5."""
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
     rotation = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
@@ -94,7 +94,7 @@ def test_floor_below_two_captured_panels_receives_their_blended_display_value() 
 
 
 @pytest.mark.parametrize("primary", list(ls.config.PathPrimary))
-def test_primary_iso_lights_the_blended_material_and_primary_particle_each_gaussian(
+def test_path_tracer_lights_blended_materials_or_each_gaussian_as_the_setting_primary_says(
     primary: ls.config.PathPrimary,
 ) -> None:
     """Two lit sheets have different albedos: with primary iso their blend is lit, with particle each sheet.
@@ -114,7 +114,7 @@ def test_primary_iso_lights_the_blended_material_and_primary_particle_each_gauss
 
 
 @pytest.mark.parametrize("opacity", [0.3, 0.6])
-def test_light_behind_a_lit_sheet_is_equal_for_iso_and_particle_primaries(opacity: float) -> None:
+def test_light_seen_through_a_lit_sheet_is_equal_for_both_values_of_the_setting_primary(opacity: float) -> None:
     """The light is equal whether or not the sheet has an iso-opacity surface."""
     light = ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)
     scene = ls.Scene(splats=[wide_sheet(0.0, opacity, 0.0)], lights=[light])
@@ -123,7 +123,7 @@ def test_light_behind_a_lit_sheet_is_equal_for_iso_and_particle_primaries(opacit
         np.testing.assert_allclose(frame.color.mean(), 1.0 - opacity, rtol=0.02)
 
 
-def test_stochastic_shadows_of_path_tracing_have_the_mean_of_exact_shadows() -> None:
+def test_mean_of_stochastic_shadows_in_path_tracing_equals_exact_shadows() -> None:
     """The light is seen through haze, off its centre; all points of the light are blocked with equal probability."""
     floor = quad((-4, 0, -4), (0, 0, 8), (8, 0, 0), diffuse(0.8))
     rotation = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)

@@ -131,7 +131,7 @@ def emitting_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstanc
 
 
 @pytest.mark.parametrize(("albedo", "bounces"), [(0.5, 1), (0.5, 32), (0.7, 64)])
-def test_closed_furnace_of_emitting_gaussians_equals_the_geometric_series(albedo: float, bounces: int) -> None:
+def test_light_in_a_closed_ball_of_emitting_gaussians_equals_the_geometric_series(albedo: float, bounces: int) -> None:
     """A hollow ball of Gaussians lies in a mesh ball; transmitted light fits the series, because all surfaces emit."""
     shell = ball(1.2, diffuse(albedo, 1.0), hollow=True, rows=24)
     inner = ball(1.0, diffuse(albedo), hollow=True, rows=24)

@@ -18,7 +18,7 @@ GLASS = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0
 
 
 @pytest.mark.parametrize("behind", ["wall", "sky"])
-def test_alpha_blended_glass_absorbs_light_only_inside_the_body(behind: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_alpha_blended_glass_absorbs_no_light_outside_its_body(behind: str, caplog: pytest.LogCaptureFixture) -> None:
     """For every alpha, rays that enter also leave, and nothing in front of or behind the body absorbs."""
     caplog.set_level(logging.WARNING)
     tinted = replace(
@@ -49,7 +49,7 @@ def test_alpha_blended_clear_glass_is_invisible_in_a_white_furnace(
     assert "without entering it" not in caplog.text
 
 
-def test_alpha_blended_emissive_glass_lights_a_floor_by_its_alpha() -> None:
+def test_emissive_glass_lights_a_floor_in_proportion_to_its_alpha() -> None:
     """Light samples on the triangles and rays that hit them give the floor the same light."""
     emissive = replace(GLASS, ior=1.0, specular=0.0, emissive=(1.0, 1.0, 1.0), alpha_mode="blend", alpha=0.5)
     floor = quad((-1, -1, 0), (0, 2, 0), (2, 0, 0), diffuse(0.5))
@@ -63,7 +63,7 @@ def test_alpha_blended_emissive_glass_lights_a_floor_by_its_alpha() -> None:
 
 
 @pytest.mark.parametrize("inside", [False, True])
-def test_partly_diffuse_glass_in_a_white_furnace_is_not_noisy(inside: bool) -> None:
+def test_partly_diffuse_white_glass_in_a_white_furnace_has_little_noise(inside: bool) -> None:
     """White glass is in a white environment; light is not sampled in directions of total internal reflection.
 
     Light beyond the bounce limit is missing.

@@ -61,7 +61,7 @@ def test_path_traced_irradiance_of_a_sphere_light_matches_the_closed_form(
 
 
 @pytest.mark.parametrize("strategy", ["hit", "both"])
-def test_path_traced_irradiance_of_an_emissive_ball_sums_its_triangles(strategy: str) -> None:
+def test_path_traced_irradiance_of_an_emissive_ball_is_the_sum_over_its_triangles(strategy: str) -> None:
     """The expected value is the sum over the front-facing triangles of the sphere."""
     source = ball(0.45, diffuse(0.0, 2.0), rows=24)
     source = replace(source, positions=source.positions + np.array([0.9, 1.2, -0.5]))
@@ -180,7 +180,7 @@ def veach(roughness: float, strategy: str) -> Estimate:
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-def test_light_sampling_and_bsdf_sampling_agree_on_veachs_plates(roughness: float) -> None:
+def test_light_sampling_and_bsdf_sampling_give_equal_means_on_veachs_plates(roughness: float) -> None:
     """Means agree within four standard errors; the combination is about as precise as the better strategy."""
     sampled, hit, both = (veach(roughness, strategy) for strategy in STRATEGIES)
     assert all(found.error < 0.01 * found.mean for found in (sampled, hit, both))
@@ -190,7 +190,7 @@ def test_light_sampling_and_bsdf_sampling_agree_on_veachs_plates(roughness: floa
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_each_sampling_strategy_on_a_veach_plate_equals_quadrature(strategy: str) -> None:
+def test_each_sampling_strategy_on_a_plate_of_veachs_scene_equals_quadrature(strategy: str) -> None:
     """Each strategy equals the integral over the lights' cones in float64."""
     view = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
     truth = sum(reflected_light(source, view, 0.35) for source in LIGHTS)
@@ -215,7 +215,7 @@ def reflected_light(source: ls.LightSphere, view: np.ndarray, roughness: float) 
 
 @pytest.mark.parametrize("setting", ["transmittance_threshold", "color_strength"])
 @pytest.mark.parametrize("source", ["rect", "mesh", "sky"])
-def test_shadow_threshold_and_tint_apply_to_light_sampling_and_bsdf_sampling(source: str, setting: str) -> None:
+def test_shadow_threshold_and_tint_have_equal_effect_on_light_and_bsdf_sampling(source: str, setting: str) -> None:
     """A visible light has the shadow through haze of an invisible light, which only light sampling can reach."""
     rotation = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
     sheet = wide_sheet(1.0, 0.5, 0.0).gaussians

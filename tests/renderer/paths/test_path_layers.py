@@ -59,7 +59,7 @@ def test_path_traced_room_of_diffuse_walls_has_no_glossy_light() -> None:
     np.testing.assert_allclose(frame.indirect_diffuse.mean(), 0.5 / np.pi * 1.2416 - direct / np.pi, rtol=0.02)
 
 
-def test_rough_metal_has_only_glossy_light_and_visible_lights_count_as_emission() -> None:
+def test_layers_of_rough_metal_have_only_glossy_light_and_those_of_lights_only_emission() -> None:
     """The floor is rough metal, and the camera sees a light directly."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.4)
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), metal)
@@ -73,7 +73,7 @@ def test_rough_metal_has_only_glossy_light_and_visible_lights_count_as_emission(
     np.testing.assert_allclose(seen.light_total[0], seen.color)
 
 
-def test_layer_of_each_light_equals_the_frame_of_that_light_alone() -> None:
+def test_layer_of_a_light_equals_the_frame_of_the_scene_with_no_other_light() -> None:
     """The means agree, with shadows and bounces."""
     room = cube_without_ceiling(diffuse(0.7))
     screen = quad((0.4, 0.2, 0.4), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.2))
@@ -94,7 +94,7 @@ def test_layer_of_each_light_equals_the_frame_of_that_light_alone() -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.0])
-def test_shadow_layer_is_1_for_unblocked_lights_reflected_in_metal(roughness: float) -> None:
+def test_shadow_layer_of_metal_is_1_where_nothing_blocks_the_light(roughness: float) -> None:
     """Rough metal gets light samples without loss; in a mirror, only rays that hit the light bring its light."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=roughness)
     floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), metal)
@@ -131,7 +131,7 @@ def test_layers_of_resumed_path_traced_frames_equal_uninterrupted_ones() -> None
         np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name), err_msg=name)
 
 
-def test_files_of_path_layers_are_named_by_layer_and_light(tmp_path: Path) -> None:
+def test_file_and_channel_names_of_path_traced_layers_contain_layer_and_light(tmp_path: Path) -> None:
     """EXR channels have the names of layers and lights; a PNG has one more file per layer."""
     frame: Any = paths(rooms(), camera(), 1, 1, aovs=ALL)
     channels = {name.rsplit(".", 1)[0] for name in frame.layers()}
@@ -142,7 +142,7 @@ def test_files_of_path_layers_are_named_by_layer_and_light(tmp_path: Path) -> No
     assert {"a.direct_diffuse.png", "a.bounce.0.png", "a.bounce.2.png", "a.light.ball.total.png"} <= names
 
 
-def test_clearcoat_light_is_glossy_and_light_of_its_diffuse_base_diffuse() -> None:
+def test_clearcoat_adds_to_the_glossy_layer_and_its_diffuse_base_to_the_diffuse_layer() -> None:
     """The coat takes its fraction of the diffuse light and adds a highlight; all other light is unchanged."""
     light = ls.LightPoint((0.3, 0.8, 0.0), intensity=2.0)
     above = ls.Camera.look_at((-0.3, 0.8, 0.0), (0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.1)

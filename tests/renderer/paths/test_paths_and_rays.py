@@ -32,7 +32,7 @@ def balls(kind: str) -> ls.Scene:
 
 @pytest.mark.parametrize("kind", ["mesh", "gaussians"])
 @pytest.mark.parametrize("light", LIGHTS_BY_NAME.values(), ids=LIGHTS_BY_NAME.keys())
-def test_path_tracing_without_bounces_has_the_mean_of_traced_direct_light(light: Light, kind: str) -> None:
+def test_path_tracing_without_bounces_has_the_mean_of_the_trace_pipelines_direct_light(light: Light, kind: str) -> None:
     """The trace pipeline uses stochastic hits."""
     lit = replace(balls(kind), lights=[light])
     view = ls.Camera.look_at((0.3, 0.6, -1.4), (0.0, -0.1, 0.0), width=48, height=36, fov_y=0.7)
@@ -90,7 +90,7 @@ def test_path_tracer_does_not_render_gaussians_in_front_of_the_near_plane() -> N
     assert seen > 0.5
 
 
-def test_path_traced_scene_of_relit_captures_alone_is_lit_by_a_headlight() -> None:
+def test_path_traced_scene_in_which_nothing_emits_light_has_a_headlight() -> None:
     """Relit captures emit nothing; a scene with emissive captures or meshes needs no headlight."""
     relit = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=32), 4000)])
     view = ls.Camera.look_at((0.0, 0.0, -1.4), (0.0, 0.0, 0.0), width=32, height=24, fov_y=0.3)

@@ -42,7 +42,7 @@ LIGHTS: dict[str, tuple[Light | ls.Mesh, Light]] = {
 @pytest.mark.parametrize(
     "source", ["sky", *(pytest.param(name, marks=pytest.mark.deep) for name in LIGHTS if name != "sky")]
 )
-def test_light_through_frosted_panes_is_equal_for_sampled_lights_and_lights_hit_by_rays(
+def test_light_through_frosted_panes_is_equal_for_light_samples_and_rays_that_hit_lights(
     source: str, thin: bool
 ) -> None:
     """Multiple importance sampling of light samples and hits equals light sampling alone."""
@@ -64,7 +64,7 @@ def test_light_through_frosted_panes_is_equal_for_sampled_lights_and_lights_hit_
         assert 0.93 < furnace.mean() / 0.3 <= 1.003
 
 
-def test_rough_glass_is_rendered_as_diffuse_without_path_tracing() -> None:
+def test_diffuse_reflection_replaces_rough_glass_in_pipelines_other_than_path() -> None:
     """Without path tracing, transmitted light becomes diffuse reflection."""
     wall = quad((-4, -4, 1.0), (8, 0, 0), (0, 8, 0), diffuse(0.0, 1.0))
     pane = quad((-4, -4, 0.0), (8, 0, 0), (0, 8, 0), replace(FROSTED, thin_walled=True))

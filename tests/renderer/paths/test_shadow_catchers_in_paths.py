@@ -93,7 +93,7 @@ def test_path_traced_shadow_ratio_of_a_catcher_equals_other_pipelines() -> None:
     assert_is(factor(both, 128), np.pi * (1.0 - SHARE) / (np.pi + 2.0), share=0.02)
 
 
-def test_invisible_added_object_does_not_change_a_path_traced_capture() -> None:
+def test_object_hidden_below_a_captured_floor_does_not_change_the_path_traced_frame() -> None:
     """The captured floor and ceiling have equal bits with and without a disc below the floor."""
     scene = ls.Scene(
         [captured_sheet(0.0, 0.5, size=0.5), captured_sheet(3.0, 0.8)],
@@ -130,7 +130,7 @@ def test_clear_pane_does_not_change_the_light_on_a_path_traced_catcher(visible: 
     assert_is(factor(scene, 128), 1.0, share=0.02)
 
 
-def test_path_traced_edge_pixels_composite_object_and_catcher_by_coverage() -> None:
+def test_path_traced_edge_pixels_blend_object_and_shadow_catcher_by_coverage() -> None:
     """A partly covered pixel shows that fraction of the object, and the floor with the brightness of its neighbours."""
     black = diffuse(0.0)
     lid = replace(disc(black), positions=disc(black).positions * np.array([200.0, 1.0, 200.0]))

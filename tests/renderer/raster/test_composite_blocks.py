@@ -29,7 +29,9 @@ class ByPixels(Launcher):
 
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.95])
 @pytest.mark.parametrize("with_mesh", [False, True])
-def test_thread_blocks_that_share_splats_give_the_bits_of_single_pixels(opacity: float, with_mesh: bool) -> None:
+def test_compositing_by_blocks_that_share_splats_equals_compositing_pixel_by_pixel(
+    opacity: float, with_mesh: bool
+) -> None:
     """Tiles have more splats than a block has threads; pixels end by opacity, at a mesh, or at the end of the list."""
     gaussians = random_gaussians(
         8, 2200, extent=(1.0, 0.6, 1.5), scale_range=(0.1, 0.5), opacities=np.full(2200, opacity)

@@ -99,7 +99,7 @@ def test_mean_surface_of_gaussians_equals_the_float64_twin(backend: str, dilatio
     assert_close_outside_band(roughness, twin.values[..., 0], band, atol=1e-4, band_share=0.4, name="roughness")
 
 
-def test_mean_surface_of_two_layers_averages_depth_and_material_by_blend_weight(backend: str) -> None:
+def test_mean_surface_of_two_layers_has_depth_and_material_weighted_by_blend_weights(backend: str) -> None:
     """With weights of 0.5 and 0.5 x 0.6, the test compares depth, roughness, metallic and albedo."""
     near = veil(3.0, 0.5, roughness=[0.2], metallic=[0.0])
     far = veil(5.0, 0.6, roughness=[0.8], metallic=[1.0])
@@ -125,7 +125,7 @@ def test_gaussians_too_thin_for_an_iso_surface_have_a_mean_surface() -> None:
 
 
 @pytest.mark.parametrize("tilt", [0.3, 1.0])
-def test_mean_surface_depth_near_a_mean_follows_the_peak_response_on_the_ray(tilt: float) -> None:
+def test_mean_surface_depth_near_a_gaussians_mean_is_where_its_response_peaks_on_the_ray(tilt: float) -> None:
     """Without dilation, the depth of a splat near its mean is that of the Gaussian's peak response on the ray."""
     half = 0.5 * tilt
     gaussian = one_gaussian(
@@ -189,7 +189,7 @@ UNCHANGED = {
 
 
 @pytest.mark.parametrize("kind", UNCHANGED)
-def test_mean_surface_setting_does_not_change_frames_without_a_mean_surface(kind: str) -> None:
+def test_choice_of_mean_or_iso_surface_does_not_change_frames_without_lit_gaussians(kind: str) -> None:
     """The bits are equal in unlit frames, emissive captures, traced frames and stochastic samples."""
     scene, config = UNCHANGED[kind]
     mean = replace(config, raster=replace(config.raster, surface=ls.config.GaussianSurface.MEAN))
@@ -199,7 +199,7 @@ def test_mean_surface_setting_does_not_change_frames_without_a_mean_surface(kind
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
-def test_lights_illuminate_the_mean_surface_at_its_depth(pipeline: ls.Pipeline) -> None:
+def test_light_falls_off_with_the_squared_distance_from_the_mean_surface(pipeline: ls.Pipeline) -> None:
     """Light from the eye falls off with the square of the mean distance, not of the distance of the nearer layer."""
     light = ls.LightPoint((0.0, 0.0, 0.0), intensity=30.0, casts_shadow=False)
     veils = joined(veil(3.0, 0.5), veil(5.0, 0.6))
@@ -210,7 +210,7 @@ def test_lights_illuminate_the_mean_surface_at_its_depth(pipeline: ls.Pipeline) 
     np.testing.assert_allclose(ratio, (4.0 / 3.75) ** 2, rtol=2e-3)
 
 
-def test_realtime_frames_of_opaque_rooms_agree_for_mean_and_iso_surfaces() -> None:
+def test_realtime_frames_of_opaque_rooms_are_equally_bright_with_mean_and_iso_surfaces() -> None:
     """The frames agree within a few per cent."""
     view = room_camera(96, 72)
     scene = with_gaussians(PathRoom(path_rooms()["diffuse_area"].scene, view), 4000).scene

@@ -132,7 +132,7 @@ def test_sh_coefficient_of_degree_0_gives_the_base_colour_of_a_gaussian(draw: Dr
     assert draw(gaussians, centred_camera()).color[CENTRE] == pytest.approx(expected, abs=1e-5)
 
 
-def test_antialiasing_preserves_the_summed_alpha_of_a_sub_pixel_gaussian(draw: Draw) -> None:
+def test_antialiased_sub_pixel_gaussian_has_a_summed_alpha_equal_to_its_area(draw: Draw) -> None:
     """For a Gaussian far smaller than a pixel, the summed alpha is the Gaussian's area, not that of the dilation."""
     scale, depth, opacity = 0.02, 4.0, 0.9
     frame = draw(one_gaussian((0.0, 0.0, depth), scale, opacity, antialiased=True), front_camera(focal=120.0))

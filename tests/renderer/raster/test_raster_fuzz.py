@@ -67,7 +67,9 @@ def test_extreme_gaussians_outside_the_view_do_not_change_the_frame(renderer: ls
 
 
 @pytest.mark.parametrize("color", [1e30, LARGEST])
-def test_gaussian_whose_colour_overflows_is_counted_or_drawn_finite(renderer: ls.Renderer, color: float) -> None:
+def test_gaussian_whose_colour_overflows_is_drawn_in_a_finite_colour_or_else_counted(
+    renderer: ls.Renderer, color: float
+) -> None:
     """A Gaussian that is not drawn with a finite colour is counted as not finite."""
     sh = np.full((1, 4, 3), color)
     scene = ls.Scene([ls.Gaussians([[0, 0, 4]], [[1, 0, 0, 0]], [[0.3] * 3], [0.9], sh)])
@@ -77,7 +79,9 @@ def test_gaussian_whose_colour_overflows_is_counted_or_drawn_finite(renderer: ls
 
 
 @pytest.mark.parametrize("scale", [1e12, 1e20, 1e30, LARGEST])
-def test_enormous_gaussian_covers_the_image_or_is_counted_as_not_finite(renderer: ls.Renderer, scale: float) -> None:
+def test_enormous_gaussian_around_the_camera_covers_the_image_or_is_dropped_and_counted(
+    renderer: ls.Renderer, scale: float
+) -> None:
     """The Gaussian surrounds the camera."""
     frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 4.0), scale, 0.8)]), front_camera())
     assert_sane(frame)
@@ -124,7 +128,7 @@ def test_rasterised_frames_do_not_depend_on_the_unit_of_length(renderer: ls.Rend
     assert (frame.gaussian_index == expected.gaussian_index)[found].mean() > 0.99
 
 
-def test_thousand_faint_layers_blend_to_the_closed_form(renderer: ls.Renderer) -> None:
+def test_thousand_faint_gaussians_on_a_pixel_blend_to_the_closed_form_alpha(renderer: ls.Renderer) -> None:
     """A thousand layers of alpha a on one pixel blend to 1 - (1 - a)^1000."""
     layers = joined(*(one_gaussian((0.0, 0.0, 2.0 + 0.001 * i), 40.0, 0.005) for i in range(1000)))
     frame = renderer.render(ls.Scene([layers]), front_camera(20, 20))

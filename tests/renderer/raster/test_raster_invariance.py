@@ -184,7 +184,7 @@ def test_rasterised_frame_is_unchanged_if_scene_and_camera_move_together(rendere
         assert_close_outside_band(undone, getattr(expected, name), twin["band"], atol=1e-3, name=name)
 
 
-def test_reused_renderer_equals_a_new_one_after_assets_are_rearranged(backend: str) -> None:
+def test_renderer_reused_for_rearranged_assets_gives_the_frame_of_a_new_renderer(backend: str) -> None:
     """The assets change their transforms, count, order and neighbours."""
     first, second = (random_gaussians(seed, 60 + seed, center=(0.0, 0.0, 0.0)) for seed in (80, 81))
     ball, wall = octahedron((0.1, 0.1, 0.0), 0.6), quad(1.5, tilt=0.3)
@@ -246,7 +246,7 @@ def test_background_is_composited_under_the_transparent_frame(backend: str, name
     assert_close(over.color, expected, atol=1e-6)
 
 
-def test_new_asset_at_the_memory_address_of_a_freed_one_is_uploaded(renderer: ls.Renderer) -> None:
+def test_new_asset_is_uploaded_even_if_it_has_the_memory_address_of_a_freed_one(renderer: ls.Renderer) -> None:
     """A frame never shows the freed asset."""
 
     def mean_color(make: Callable[[float], ls.Scene], value: float) -> np.ndarray:
@@ -267,7 +267,7 @@ def test_rasteriser_allocates_nothing_after_the_first_frame(renderer: ls.Rendere
     assert renderer._buffers.allocations == settled
 
 
-def test_reported_memory_of_a_renderer_covers_its_assets_and_images(renderer: ls.Renderer) -> None:
+def test_memory_that_a_renderer_reports_is_at_least_that_of_its_assets_and_images(renderer: ls.Renderer) -> None:
     """The reported memory is at least that of assets and images, and little more than the allocations."""
     gaussians = random_gaussians(82, 5000, degree=3)
     frame = renderer.render(ls.Scene([gaussians]), front_camera(300, 200))
@@ -278,7 +278,7 @@ def test_reported_memory_of_a_renderer_covers_its_assets_and_images(renderer: ls
     assert assets + images + splats <= frame.stats.memory_bytes <= 4 * (assets + images + splats)
 
 
-def test_tile_lists_grow_until_no_splat_is_lost(renderer: ls.Renderer) -> None:
+def test_tile_lists_too_short_for_a_frame_grow_so_that_it_loses_no_splat(renderer: ls.Renderer) -> None:
     """Splats that cover every tile exceed the first capacity of the lists; none is lost in this or the next frame."""
     layers = random_gaussians(81, 600, scale_range=(20.0, 30.0))
     means = np.column_stack([layers.means[:, :2], np.random.default_rng(0).permutation(np.linspace(2.5, 5.5, 600))])

@@ -221,7 +221,7 @@ def test_mesh_behind_splats_is_composited_with_their_transmittance(renderer: ls.
     assert_close(frame.depth_z[~reached], np.full((~reached).sum(), 9.0), atol=1e-4)
 
 
-def test_mesh_through_a_splat_covers_one_side_and_is_covered_on_the_other(renderer: ls.Renderer) -> None:
+def test_mesh_that_passes_through_a_splat_hides_one_half_of_it_and_is_behind_the_other(renderer: ls.Renderer) -> None:
     """The mesh passes through the depth of the splat."""
     splat = one_gaussian((0.0, 0.0, 4.0), 0.5, 0.5, color=(1.0, 1.0, 1.0))
     frame = renderer.render(ls.Scene([splat], [quad(4.0, 3.0, tilt=0.5, material=GREY)]), front_camera())
@@ -266,7 +266,7 @@ def test_degenerate_and_huge_triangles_do_not_change_other_objects(
     assert (frame.instance_index == 1).mean() > 0.95
 
 
-def test_two_instances_of_one_textured_mesh_look_as_each_does_alone(renderer: ls.Renderer) -> None:
+def test_two_instances_of_a_textured_mesh_look_the_same_together_as_separately(renderer: ls.Renderer) -> None:
     """The instances are in different positions."""
     mesh = checker_quad(0.0)
     left, right = np.eye(4), np.eye(4)
@@ -279,7 +279,7 @@ def test_two_instances_of_one_textured_mesh_look_as_each_does_alone(renderer: ls
         np.testing.assert_array_equal(both.color[here], alone.color[here])
 
 
-def test_wall_hides_the_splats_behind_it_and_does_not_change_those_beside_it(renderer: ls.Renderer) -> None:
+def test_mesh_wall_hides_splats_behind_it_and_changes_no_bit_of_splats_beside_it(renderer: ls.Renderer) -> None:
     """A wall over half of the image hides thousands of splats; the bits beside it are unchanged."""
     splats = random_gaussians(95, 3000, scale_range=(0.02, 0.1))
     camera = front_camera()

@@ -28,7 +28,7 @@ def camera() -> ls.Camera:
 
 
 @pytest.mark.parametrize(("opacity", "is_surface"), [(0.29, False), (0.31, True), (1.0, True)])
-def test_gaussian_is_a_surface_if_its_transmittance_is_below_0_7(
+def test_single_gaussian_counts_as_a_surface_if_its_transmittance_is_below_0_7(
     renderer: ls.Renderer, opacity: float, is_surface: bool
 ) -> None:
     """The frame has one Gaussian in front of the background."""
@@ -39,7 +39,7 @@ def test_gaussian_is_a_surface_if_its_transmittance_is_below_0_7(
     assert np.linalg.norm(frame.normal[CENTRE]) == pytest.approx(1.0)
 
 
-def test_surface_is_the_layer_after_which_transmittance_is_below_the_threshold(renderer: ls.Renderer) -> None:
+def test_iso_opacity_surface_is_the_layer_that_lowers_transmittance_below_the_threshold(renderer: ls.Renderer) -> None:
     """Each of several faint layers transmits 0.8; 0.8 x 0.8 < 0.7, so that the second layer is the surface."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     frame = renderer.render(ls.Scene([joined(*reversed(layers))]), camera())
@@ -48,7 +48,9 @@ def test_surface_is_the_layer_after_which_transmittance_is_below_the_threshold(r
 
 
 @pytest.mark.parametrize(("threshold", "index"), [(1.0, 0), (0.7, 1), (0.6, 2), (0.0, -1)])
-def test_iso_opacity_threshold_selects_the_layer_of_the_surface(backend: str, threshold: float, index: int) -> None:
+def test_higher_iso_opacity_threshold_selects_a_nearer_layer_as_the_surface(
+    backend: str, threshold: float, index: int
+) -> None:
     """A higher threshold selects a nearer layer."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     config = ls.RenderConfig(raster=ls.RasterConfig(depth_iso_transmittance=threshold))
@@ -57,7 +59,9 @@ def test_iso_opacity_threshold_selects_the_layer_of_the_surface(backend: str, th
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
-def test_depth_is_along_the_ray_and_depth_z_along_the_camera_axis(renderer: ls.Renderer, tilt: float) -> None:
+def test_depth_layer_is_distance_along_the_ray_and_depth_z_along_the_camera_axis(
+    renderer: ls.Renderer, tilt: float
+) -> None:
     """For a flat Gaussian, depth_z is that of its plane in every pixel, and depth is the distance along the ray."""
     wall = one_gaussian((0.0, 0.0, 5.0), (50.0, 50.0, 0.01), 0.9, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0, 0))
     frame = renderer.render(ls.Scene([wall]), front_camera(cx=20.0))
@@ -78,7 +82,7 @@ def test_depth_of_a_round_gaussian_is_where_the_ray_is_nearest_to_its_mean(rende
     assert_close(frame.depth_z[seen], expected[seen], atol=1e-4)
 
 
-def test_surface_of_a_gaussian_is_not_behind_the_mesh_that_it_covers(renderer: ls.Renderer) -> None:
+def test_depth_of_a_gaussian_in_front_of_a_mesh_is_never_behind_that_mesh(renderer: ls.Renderer) -> None:
     """If a Gaussian's mean is in front of a mesh but its peak on the ray is not, the depth is that of the mesh."""
     tilted = one_gaussian((0.0, 0.0, 5.0), (2.0, 2.0, 0.01), 0.9, rotation=(np.cos(0.25), np.sin(0.25), 0.0, 0.0))
     frame = renderer.render(ls.Scene([tilted], [quad(5.1, 9.0)]), camera())
@@ -87,7 +91,7 @@ def test_surface_of_a_gaussian_is_not_behind_the_mesh_that_it_covers(renderer: l
     assert 0.1 < (frame.depth_z[splat] > 5.0999).mean() < 0.6
 
 
-def test_index_layers_number_gaussians_per_instance_and_meshes_after_splats(renderer: ls.Renderer) -> None:
+def test_index_layers_count_gaussians_within_their_instance_and_mesh_instances_last(renderer: ls.Renderer) -> None:
     """Splat instances are numbered first, then meshes; a mesh has no Gaussian index."""
     far, near = random_gaussians(90, 5, center=(0.0, 50.0, 4.0)), one_gaussian((0.5, 0.0, 3.0), 0.1, 0.9)
     target = one_gaussian((-0.5, 0.0, 3.0), 0.1, 0.9)
@@ -117,7 +121,7 @@ def test_normal_of_a_round_gaussian_points_towards_the_camera(renderer: ls.Rende
     assert (frame.normal[~seen] == 0.0).all()
 
 
-def test_normal_layer_is_the_mean_of_splat_and_mesh_normals_by_blend_weight(renderer: ls.Renderer) -> None:
+def test_normal_layer_is_the_mean_of_splat_and_mesh_normals_weighted_by_blend_weight(renderer: ls.Renderer) -> None:
     """The weights of the normals are those with which the colours are blended."""
     tilt = 0.4
     disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.6, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0))
@@ -128,7 +132,7 @@ def test_normal_layer_is_the_mean_of_splat_and_mesh_normals_by_blend_weight(rend
     assert frame.normal[CENTRE] == pytest.approx(mixed / np.linalg.norm(mixed), abs=1e-3)
 
 
-def test_normals_that_cancel_are_replaced_by_the_direction_to_the_camera(renderer: ls.Renderer) -> None:
+def test_opposite_normals_that_cancel_in_a_pixel_become_the_direction_to_the_camera(renderer: ls.Renderer) -> None:
     """Two sheets of opposite normals cancel; either sheet alone keeps its normal."""
     sheets = opposed_sheets()
     frame = renderer.render(ls.Scene([sheets]), camera())

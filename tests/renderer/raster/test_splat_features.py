@@ -63,7 +63,7 @@ def test_feature_gradients_equal_central_differences_of_the_float64_twin(antiali
         assert np.median(error) < 1e-5 and error.max() < 1e-3, (name, np.median(error), error.max())
 
 
-def test_features_equal_to_the_colours_are_rendered_as_those_colours() -> None:
+def test_features_equal_to_colours_are_rendered_as_the_frame_over_black() -> None:
     """Over black, features equal the frame, and their gradients those of view-independent colours."""
     gaussians, camera = cloud(degree=0, count=60), view()
     scene, (by_color, _) = ls.Scene([gaussians]), by_pixels(camera)
@@ -99,7 +99,7 @@ def test_features_and_feature_gradients_do_not_depend_on_thread_count() -> None:
             np.testing.assert_array_equal(vars_of(found)[name], value, err_msg=name)
 
 
-def test_gpu_schedule_gives_equal_features_and_feature_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_and_cpu_schedules_give_equal_features_and_feature_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
     """Thread blocks, run on a CPU, give equal results up to the order of sums."""
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     shown, tiles = with_features(scene, camera)
@@ -115,7 +115,7 @@ def test_gpu_schedule_gives_equal_features_and_feature_gradients(monkeypatch: py
         assert np.abs(vars_of(blocks)[name] - value).max() < 1e-4 * np.abs(value).mean(), name
 
 
-def test_features_of_an_instance_equal_those_of_a_set_stored_transformed() -> None:
+def test_rendered_features_of_an_instance_equal_those_of_gaussians_already_transformed() -> None:
     """Depths and normals of a transformed instance equal those of a set stored with its transform applied."""
     gaussians, camera = cloud(9, degree=0), view()
     transform = np.eye(4)

@@ -92,7 +92,7 @@ def test_raster_gradients_do_not_depend_on_thread_count() -> None:
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_gpu_schedule_gives_equal_raster_gradients(antialiased: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_and_cpu_schedules_give_equal_raster_gradients(antialiased: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Thread blocks, run on a CPU, give the gradients of tiles up to the order of sums."""
     scene, camera = ls.Scene([cloud(count=60, antialiased=antialiased)]), view(50, 40)
     tiles = gradients_of(scene, camera)
@@ -108,7 +108,7 @@ def test_gpu_schedule_gives_equal_raster_gradients(antialiased: bool, monkeypatc
     np.testing.assert_allclose(blocks.centers_absolute, tiles.centers_absolute, rtol=1e-4, atol=1e-5)
 
 
-def test_gpu_schedule_zeroes_raster_gradients_of_splats_behind_opaque_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_schedule_gives_splats_behind_opaque_tiles_zero_raster_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
     """If all pixels of a tile end long before its list, the records of the other splats are overwritten with 0."""
     scene, camera = ls.Scene([opaque()]), view()
     tiles = gradients_of(scene, camera)

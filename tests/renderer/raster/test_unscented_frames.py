@@ -78,14 +78,14 @@ def test_unscented_frame_equals_the_float64_twin(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_unscented_tiles_contain_large_gaussians_near_the_limit_of_the_lens(name: str) -> None:
+def test_tiles_of_unscented_frames_cut_off_no_large_gaussian_near_the_limit_of_the_lens(name: str) -> None:
     """Gaussians near the limit, behind it or around the eye have the alpha of a frame without tiles."""
     assert cut_off(LENSES[name], range(30)) > 1000
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", NAMES)
-def test_unscented_tiles_contain_thousands_of_large_gaussians(name: str) -> None:
+def test_tiles_of_unscented_frames_cut_off_none_of_thousands_of_large_gaussians(name: str) -> None:
     """The test draws 4,000 Gaussians per lens."""
     assert cut_off(LENSES[name], range(30, 1030)) > 30000
 
@@ -97,19 +97,19 @@ BACKWARD = {
 
 
 @pytest.mark.parametrize("name", BACKWARD)
-def test_unscented_tiles_contain_gaussians_opposite_the_optical_axis(name: str) -> None:
+def test_tiles_of_unscented_frames_cut_off_no_gaussian_opposite_the_optical_axis(name: str) -> None:
     """Gaussians of any size and shape, one at a time, cover a ring around the image or an arc inside."""
     assert cut_off(BACKWARD[name], range(40), lambda seed: needle(seed, BACKWARD[name])) > 10000
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", BACKWARD)
-def test_unscented_tiles_contain_hundreds_of_gaussians_opposite_the_axis(name: str) -> None:
+def test_tiles_of_unscented_frames_cut_off_none_of_600_gaussians_opposite_the_optical_axis(name: str) -> None:
     """The test draws 600 Gaussians."""
     assert cut_off(BACKWARD[name], range(40, 640), lambda seed: needle(seed, BACKWARD[name])) > 150000
 
 
-def test_unscented_tiles_contain_gaussians_at_the_edge_of_a_wide_pinhole() -> None:
+def test_tiles_of_unscented_frames_cut_off_no_gaussian_at_the_edge_of_a_wide_pinhole() -> None:
     """At 176 degrees, tangents vary strongly over a small Gaussian."""
     camera = lens(256.0 / np.tan(np.radians(88.0)), (512, 64))
     assert cut_off(camera, range(3), lambda seed: rim(seed, camera, 88.0)) > 1000
@@ -161,7 +161,7 @@ def test_unscented_projections_of_small_gaussians_converge_to_ewa_ellipses() -> 
     assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1], errors
 
 
-def test_unscented_footprint_on_the_axis_equals_the_dilation_of_a_splat() -> None:
+def test_point_like_gaussian_on_the_optical_axis_looks_the_same_unscented_and_as_ewa_splat() -> None:
     """A point-like Gaussian has the profile of a dilated splat."""
     camera = replace(lens(60.0), camera_from_world=np.eye(4), cx=32.0, cy=24.0, fy=60.0)
     point = ls.Gaussians([(0.0, 0.0, 4.0)], [(1.0, 0.0, 0.0, 0.0)], [(1e-4,) * 3], [0.9], np.zeros((1, 1, 3)))
@@ -192,7 +192,7 @@ def test_unscented_frames_do_not_depend_on_thread_count() -> None:
         np.testing.assert_array_equal(one.depth, other.depth)
 
 
-def test_antialiasing_samples_of_unscented_frames_equal_the_ray_tracers() -> None:
+def test_unscented_frames_of_several_samples_per_pixel_equal_ray_traced_ones() -> None:
     """Frames with several samples per pixel are compared."""
     camera, gaussians = LENSES["fisheye"], layers(LENSES["fisheye"])
     scene, samples = ls.Scene([gaussians]), 4
@@ -211,7 +211,7 @@ def test_meshes_in_unscented_frames_equal_meshes_traced_through_the_lens() -> No
     np.testing.assert_allclose(frames[0].color, frames[1].color, atol=3e-4)
 
 
-def test_unscented_frames_light_relit_and_emissive_sets_like_the_ray_tracer() -> None:
+def test_unscented_lit_frames_of_relit_and_emissive_captures_equal_ray_traced_ones() -> None:
     """Relit sets are accumulated separately from emissive ones."""
     camera = LENSES["phone"]
     gaussians = layers(camera, count=24)
@@ -225,7 +225,7 @@ def test_unscented_frames_light_relit_and_emissive_sets_like_the_ray_tracer() ->
     np.testing.assert_allclose(frames[0].color, frames[1].color, atol=2e-3)
 
 
-def test_hit_counts_of_unscented_frames_equal_the_ray_tracers() -> None:
+def test_counts_of_blended_gaussians_are_equal_in_unscented_and_ray_traced_frames() -> None:
     """The image ``hits`` counts the blended Gaussians of each pixel."""
     camera = LENSES["fisheye"]
     scene = ls.Scene([layers(camera)])

@@ -55,7 +55,7 @@ def test_unscented_gradients_equal_central_differences_of_the_float64_twin(name:
         assert np.median(error) < 1e-5 and error.max() < 1e-3, (key, np.median(error), error.max())
 
 
-def test_rolling_shutter_gradients_hold_the_time_of_each_gaussian_fixed() -> None:
+def test_rolling_shutter_gradients_ignore_that_the_time_of_seeing_a_gaussian_changes() -> None:
     """The time at which a mean is seen affects colour and footprint; ignoring that costs a relative error of 1e-3."""
     end = np.array(view().camera_from_world)
     end[:3, 3] += (0.05, -0.03, 0.02)
@@ -95,7 +95,7 @@ def test_unscented_gradients_do_not_depend_on_thread_count() -> None:
 
 
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
-def test_gpu_schedule_gives_equal_unscented_gradients(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_and_cpu_schedules_give_equal_unscented_gradients(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Warps of pixels, run on a CPU, give the gradients of tiles up to the order of sums."""
     camera, scene = LENSES[name], ls.Scene([random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
     tiles = gradients_of(scene, camera)
@@ -110,7 +110,7 @@ def test_gpu_schedule_gives_equal_unscented_gradients(name: str, monkeypatch: py
 
 
 @pytest.mark.parametrize("name", ["pinhole", "fisheye"])
-def test_gpu_schedule_zeroes_unscented_gradients_behind_opaque_tiles(
+def test_gpu_schedule_gives_splats_behind_opaque_tiles_zero_unscented_gradients(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If all pixels of a tile end long before its list, the records of the other splats are overwritten with 0."""
@@ -143,7 +143,7 @@ def test_unscented_gradients_of_instances_are_transformed_and_summed() -> None:
 
 
 @pytest.mark.parametrize("name", ["barrel", "fisheye"])
-def test_unscented_gradients_of_the_pose_are_in_camera_axes(name: str) -> None:
+def test_unscented_gradients_of_the_camera_pose_are_in_camera_axes(name: str) -> None:
     """The camera is rotated and translated together with its rays; the set is transformed."""
     camera, gaussians, transform = VIEWS[name], cloud(8, count=9, degree=2), np.eye(4)
     transform[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

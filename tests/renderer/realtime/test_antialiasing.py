@@ -70,7 +70,7 @@ def test_temporal_antialiasing_of_static_edges_converges_to_the_reference() -> N
     np.testing.assert_allclose(total, frames[47].color, atol=1e-5, rtol=1e-5)
 
 
-def test_temporal_antialiasing_of_captures_and_environment_converges() -> None:
+def test_temporal_antialiasing_of_captures_and_environment_converges_to_many_samples() -> None:
     """The scene has unlit captures, an environment and a mesh."""
     rng = np.random.default_rng(2)
     environment = ls.LightEnvironment(rng.uniform(0.0, 1.0, (16, 32, 3)).astype(np.float32))
@@ -166,7 +166,7 @@ def test_temporal_antialiasing_follows_a_fading_light() -> None:
         assert frame.color[24, 32, 0] == pytest.approx(left, rel=0.1)
 
 
-def test_temporal_antialiasing_shows_a_light_change_of_2_percent_at_once() -> None:
+def test_temporal_antialiasing_shows_a_light_change_of_2_percent_in_the_next_frame() -> None:
     """The change is as small as noise could be, and visible in the next frame."""
     before, after = scene_of(emissive_square(0.8, 0.8, 0.8)), scene_of(emissive_square(0.784, 0.784, 0.784))
     smooth = renderer()

@@ -75,7 +75,7 @@ def sampled(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return directions.numpy().astype(np.float64), pdfs.numpy().astype(np.float64)[:, 0]
 
 
-def test_pdf_of_captured_lights_is_that_of_uniform_points_in_their_boxes() -> None:
+def test_pdf_of_a_direction_to_captured_lights_is_that_of_uniform_points_in_their_boxes() -> None:
     """The points include some inside a box, and one of the boxes is flat."""
     points = np.concatenate([RNG.uniform(-3.0, 3.0, (3000, 3)), RNG.uniform(-0.2, 0.2, (1000, 3))])
     directions, pdfs = sampled(points)
@@ -85,7 +85,7 @@ def test_pdf_of_captured_lights_is_that_of_uniform_points_in_their_boxes() -> No
     np.testing.assert_allclose(pdfs[good], reference[good], rtol=0.02)
 
 
-def test_mean_inverse_pdf_of_captured_lights_is_their_solid_angle() -> None:
+def test_mean_of_1_over_pdf_of_captured_light_samples_is_the_sampled_solid_angle() -> None:
     """The mean of 1 / pdf over a cone that the boxes cover is the cone's solid angle, also from inside a box."""
     points = np.zeros((200_000, 3))
     directions, pdfs = sampled(points)
@@ -117,7 +117,7 @@ def test_capture_of_a_single_gaussian_has_boxes_for_light_sampling() -> None:
 # --- Which captures are lights ---
 
 
-def test_captures_around_receivers_are_not_sampled_as_lights() -> None:
+def test_captures_that_surround_lit_surfaces_are_not_sampled_as_lights() -> None:
     """A capture above a floor is a light; a captured room around a mesh is not."""
     corners = np.column_stack([RNG.uniform(-4.0, 4.0, (100, 3)), np.ones(100)])
     flat, around = np.array(((-0.5, -0.1, -0.5), (0.5, 0.1, 0.5))), np.array(((-5.0,) * 3, (5.0,) * 3))
@@ -126,7 +126,7 @@ def test_captures_around_receivers_are_not_sampled_as_lights() -> None:
     assert not is_separate_emitter(placed(1.0), flat, np.zeros((0, 4)))
 
 
-def test_captured_room_gives_no_direct_light_to_a_mesh_inside_it() -> None:
+def test_realtime_pipeline_takes_no_direct_light_from_a_captured_room_around_a_mesh() -> None:
     """Direct light appears only if another capture beside the mesh is a light."""
     room = ls.SplatInstance(ls.gaussians_from_mesh(ls.box(10.0, material=diffuse(0.3)), 3000))
     ball = ls.MeshInstance(ls.sphere(0.5, material=diffuse(0.5)))
@@ -264,7 +264,7 @@ def test_realtime_frames_with_captured_lights_do_not_depend_on_thread_count() ->
     np.testing.assert_array_equal(*frames)
 
 
-def test_realtime_light_of_a_moved_capture_moves_with_the_capture() -> None:
+def test_light_that_a_capture_casts_in_real_time_moves_with_the_capture() -> None:
     """After 12 frames, blocks are within 10 % RMS of a sequence in which the capture never moved."""
     camera, scenes = view(48, 32), []
     for x in (-0.8, 0.8):

@@ -31,7 +31,7 @@ def frame() -> ls.Frame:
 
 
 @pytest.mark.parametrize(("interval", "expected"), [(1, 3), (2, 2)])
-def test_realtime_history_layer_counts_the_frames_with_light_samples(interval: int, expected: int) -> None:
+def test_history_layer_of_realtime_frames_counts_frames_that_sampled_light(interval: int, expected: int) -> None:
     """After three frames, the history is 3; with samples in every second frame, it is 2."""
     settings = ls.RealtimeConfig(light_interval=interval, antialiasing=False)  # exact reprojection without jitter
     history = last_frame(3, max_bounces=0, realtime=settings).history
@@ -48,7 +48,7 @@ def test_realtime_probes_layer_shows_a_probe_in_each_8_pixel_tile(frame: ls.Fram
     assert frame.probes.max() <= 24
 
 
-def test_realtime_cache_layer_has_the_mean_diffuse_light_of_the_frame(frame: ls.Frame) -> None:
+def test_radiance_cache_layer_has_the_mean_diffuse_light_of_the_realtime_frame(frame: ls.Frame) -> None:
     """The cache contains diffuse light of all bounces; the size of its cells follows the distance."""
     assert frame.cache is not None
     assert frame.cache_cells is not None

@@ -87,7 +87,7 @@ def test_light_denoiser_averages_the_frames_of_a_history_with_equal_weights() ->
     assert (sequence.ages() == 40.0).all()
 
 
-def test_light_denoiser_fades_frames_older_than_the_maximum_history() -> None:
+def test_light_denoiser_weights_the_newest_frame_by_1_over_the_maximum_history() -> None:
     """Beyond the maximum history, the newest frame has the weight 1 / frames."""
     sequence, surfaces = FilterSequence(frames=4, passes=0), plane()
     x = np.arange(COUNT) % SIZE["width"] + np.arange(COUNT) // SIZE["width"]
@@ -169,7 +169,7 @@ def test_denoised_light_arrives_within_8_frames_when_a_light_goes_on() -> None:
     assert max(there) < 1.1
 
 
-def test_light_denoiser_does_not_take_noise_shared_by_pixels_for_a_light_change() -> None:
+def test_light_denoiser_does_not_mistake_noise_that_pixels_share_for_a_light_change() -> None:
     """Blocks of 2 x 2 pixels share samples; a filter that ignores the sharing takes noise for a change of light."""
     ages: list[float] = []
     for shared in (1, 4):
@@ -192,7 +192,7 @@ def test_light_denoiser_spreads_rare_bright_samples_without_losing_their_light()
     assert light.std() < 0.2 * mean.std()
 
 
-def test_light_denoiser_shortens_short_histories_when_light_has_changed() -> None:
+def test_light_change_shortens_histories_of_two_frames_in_the_light_denoiser_not_of_six() -> None:
     """Histories of two frames are shortened; histories of six detect changes themselves and are not."""
     for frames, expected in ((2, 1.2), (6, 7.0)):
         sequence = FilterSequence()
@@ -217,7 +217,7 @@ def test_light_denoiser_leaves_no_trail_behind_a_moving_shadow() -> None:
         np.testing.assert_allclose(found[far], constant_light()[far], rtol=0.03)
 
 
-def test_light_denoiser_keeps_the_history_of_pixels_without_samples() -> None:
+def test_light_denoiser_keeps_the_history_of_pixels_without_new_samples_unchanged() -> None:
     """Sample values are ignored where ``sampled`` is False."""
     sequence, surfaces = FilterSequence(passes=0), plane()
     sampled = noise(3)[:, 0] > 0.0
@@ -331,7 +331,7 @@ def test_light_denoiser_reduces_noise_without_bias() -> None:
     assert light.std() < 0.06
 
 
-def test_reset_light_denoiser_equals_a_new_one() -> None:
+def test_frame_after_a_reset_of_the_light_denoiser_equals_that_of_a_new_one() -> None:
     """The first frame after a reset is that of a new denoiser."""
     surfaces = plane()
     used, fresh = FilterSequence(), FilterSequence()

@@ -42,7 +42,7 @@ def positions_and_intensities(lights: list[ls.LightPoint]) -> tuple[np.ndarray, 
     )
 
 
-def test_surfaces_are_within_one_cell_width_of_their_light_grid_cells_centre() -> None:
+def test_surface_is_at_most_one_cell_width_from_the_centre_of_its_light_grid_cell() -> None:
     """The distance is measured along each axis; positions that are not finite have no cell."""
     assert CELL.half == pytest.approx(0.5 * np.sqrt(3.0))
     np.testing.assert_array_equal(CELL.center, (0.5, 0.5, 0.5))
@@ -52,7 +52,7 @@ def test_surfaces_are_within_one_cell_width_of_their_light_grid_cells_centre() -
 
 
 @pytest.mark.parametrize("count", [17, 300])
-def test_light_grid_chooses_the_lights_of_the_reference(count: int) -> None:
+def test_light_grid_chooses_the_lights_that_its_numpy_reference_chooses(count: int) -> None:
     """Lights and probabilities agree in each frame for several seeds."""
     lights = point_lights(count)
     positions, powers = positions_and_intensities(lights)
@@ -67,7 +67,7 @@ def test_light_grid_chooses_the_lights_of_the_reference(count: int) -> None:
 
 
 @pytest.mark.parametrize(("count", "frames"), [(3, 2), (20, 700), (10_000, 700)])
-def test_sums_over_lights_chosen_by_the_light_grid_are_unbiased(count: int, frames: int) -> None:
+def test_mean_irradiance_by_lights_that_the_light_grid_chooses_is_unbiased(count: int, frames: int) -> None:
     """The mean of each channel over the four choices of a cell is within 4 standard errors, which are below 0.7 %."""
     lights = [light for light in point_lights(count) if np.linalg.norm(np.subtract(light.position, SURFACE)) > 0.9]
     contribution = irradiance(lights)
@@ -82,7 +82,7 @@ def test_sums_over_lights_chosen_by_the_light_grid_are_unbiased(count: int, fram
     assert (np.abs(np.mean(sums, axis=0) - truth) <= 4.0 * error + 1e-5 * truth).all()
 
 
-def test_light_grid_reference_is_less_noisy_the_more_lights_it_chooses() -> None:
+def test_noise_of_the_light_grid_reference_falls_with_the_number_of_chosen_lights() -> None:
     """The reference chooses 4, 16 or 64 of 300 lights."""
     lights = point_lights(300)
     positions, powers = positions_and_intensities(lights)
@@ -97,7 +97,7 @@ def test_light_grid_reference_is_less_noisy_the_more_lights_it_chooses() -> None
     assert spread[0] > 1.5 * spread[1] > 2.0 * spread[2]
 
 
-def test_light_grid_picks_lights_by_contribution_over_choice_probability() -> None:
+def test_light_grid_picks_a_chosen_light_in_proportion_to_contribution_over_probability() -> None:
     """A chi-square test covers 20,000 picks in a cell; each sample is divided by the probability of its pick."""
     lights = point_lights(200)
     rig = LightGridRig(lights, [CELL])
@@ -138,7 +138,7 @@ def test_light_grid_always_chooses_a_distant_strong_light() -> None:
         assert chances[numbers == 1000] > 0.999
 
 
-def test_light_grid_gives_positive_weight_to_lights_that_reach_the_cell() -> None:
+def test_weight_of_a_light_in_a_light_grid_cell_is_positive_if_the_light_reaches_it() -> None:
     """Random spots, rectangles, disks and ranged points light a surface in the cell."""
     rng = np.random.default_rng(0)
     lights: list[Any] = []

@@ -28,7 +28,7 @@ def corner(roughness: float) -> ls.Scene:
     )
 
 
-def test_screen_probes_blur_rough_reflections_more_than_highlight_rays() -> None:
+def test_rough_reflections_from_screen_probes_are_blurrier_than_by_highlight_rays() -> None:
     """With probes alone, blue shows on the red side, and the total light stays within 20 %."""
     scene = corner(0.2)
     sharp = halves(glossy(scene, ls.Pipeline.REALTIME, 8))

@@ -121,7 +121,9 @@ def test_realtime_floor_under_1000_lights_matches_the_closed_form(interval: int)
     assert np.percentile(np.abs(errors), 90) < 0.10
 
 
-def test_surfaces_beyond_the_cell_limit_of_the_light_grid_are_lit_without_bias(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_surfaces_for_which_the_light_grid_has_no_cells_left_are_lit_without_bias(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """If there are too many cells, only the first cells get lights; surfaces in the others choose among all lights."""
     for cells_max in (0, 20):
         monkeypatch.setattr(light_grid, "GRID_CELLS_MAX", cells_max)
@@ -130,7 +132,7 @@ def test_surfaces_beyond_the_cell_limit_of_the_light_grid_are_lit_without_bias(m
         assert np.percentile(np.abs(found / truth - 1.0), 90) < 0.10
 
 
-def test_reflected_surfaces_beyond_the_cell_limit_of_the_light_grid_are_lit_without_bias(
+def test_reflected_surfaces_for_which_the_light_grid_has_no_cells_left_are_unbiased(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Surfaces beyond the limit use one light a frame instead of all lights of a cell; the mean is equal."""

@@ -31,7 +31,7 @@ def sample_weights(count: int, history: float) -> Doubles:
 
 
 @pytest.mark.parametrize("history", [1.0, 4.0, 32.0])
-def test_sample_weights_of_temporal_means_match_the_reference(history: float) -> None:
+def test_weights_of_samples_in_temporal_means_match_the_float64_reference(history: float) -> None:
     """The numbers of samples are whole, or fractions as outdated means have."""
     counts = np.arange(81) / 2.0
     for offset in (0.0, 4e-4):
@@ -39,7 +39,7 @@ def test_sample_weights_of_temporal_means_match_the_reference(history: float) ->
         np.testing.assert_allclose(device_weights(counts + offset, history), expected, rtol=1e-5)
 
 
-def test_young_temporal_mean_weights_its_nth_sample_by_n() -> None:
+def test_temporal_mean_of_few_samples_weights_the_nth_in_proportion_to_n() -> None:
     """The variance is a third higher than with equal weights."""
     for count in (1, 2, 5, 100):
         weights = sample_weights(count, 1e4)
@@ -48,7 +48,7 @@ def test_young_temporal_mean_weights_its_nth_sample_by_n() -> None:
 
 
 @pytest.mark.parametrize("history", [1, 4, 8])
-def test_old_temporal_mean_weights_a_new_sample_by_1_over_history(history: int) -> None:
+def test_temporal_mean_of_full_history_weights_a_new_sample_by_1_over_its_length(history: int) -> None:
     """Older samples fade by the factor 1 - 1 / history."""
     before, after = (sample_weights(count, history) for count in (3 * history, 3 * history + 1))
     assert after[-1] == pytest.approx(1.0 / history, rel=1e-6)

@@ -88,13 +88,13 @@ def test_motion_layer_of_static_objects_is_opposite_to_the_camera_motion(instanc
     check(motion((scene, STEPPED), (scene, CAMERA)), lambda points: points, STEPPED)
 
 
-def test_motion_layer_of_a_moving_instance_follows_its_transforms(instance_at) -> None:
+def test_motion_layer_of_a_moving_instance_equals_the_projected_change_of_transform(instance_at) -> None:
     """The background has no motion."""
     frame = motion((scene_of(instance_at(HERE)), CAMERA), (scene_of(instance_at(MOVED)), CAMERA))
     check(frame, by(HERE @ np.linalg.inv(MOVED)))
 
 
-def test_motion_layer_of_deforming_meshes_and_gaussians_follows_their_points() -> None:
+def test_motion_layer_shows_the_motion_of_vertices_and_gaussians_of_deforming_objects() -> None:
     """Vertices and Gaussians move by a known transform, while the instance is static."""
     bend = similarity((0.0, 0.0, 1.0), 0.3, offset=(0.2, 0.1, 0.1))
     mesh = octahedron((0.0, 0.0, 0.0), 1.2)
@@ -137,7 +137,7 @@ def test_motion_layer_marks_the_motion_of_new_surfaces_as_unknown() -> None:
 CAMERA_SHAPE = (CAMERA.height, CAMERA.width)
 
 
-def test_motion_layer_shows_the_surface_that_covers_most_of_the_pixel() -> None:
+def test_motion_layer_has_the_motion_of_the_surface_that_covers_most_of_the_pixel() -> None:
     """With a thin veil of Gaussians before a wall, the motion is that of the wall; with a thick veil, the veil's."""
     wall = quad(5.0, 4.0)
     for opacity, depth in ((0.3, 5.0), (0.9, 3.0)):

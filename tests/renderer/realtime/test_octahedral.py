@@ -46,7 +46,7 @@ def test_octahedral_maps_of_device_and_host_match_the_reference() -> None:
     assert np.mean(cells[:1_000] == [cell_of(direction, 8) for direction in directions[:1_000]]) > 0.999
 
 
-def test_wrapped_border_cells_of_an_octahedral_map_are_adjacent_on_the_sphere() -> None:
+def test_neighbour_cells_across_the_border_of_an_octahedral_map_touch_on_the_sphere() -> None:
     """The wrapped cell lies one step beyond the border of the square."""
     side = 8
     along = np.arange(side, dtype=np.int32)
@@ -75,7 +75,7 @@ def test_sh_projection_of_octahedral_cells_is_exact_for_light_of_degree_2() -> N
 
 
 @pytest.mark.parametrize("power", [1, 3])
-def test_octahedral_irradiance_is_corrected_for_light_beyond_sh_degree_2(power: int) -> None:
+def test_irradiance_from_octahedral_cells_adds_what_sh_of_degree_2_cannot_represent(power: int) -> None:
     """The correction is 0 for degree-2 light and halves errors for light above a horizon.
 
     The light is a power of the cosine above the surface: pi times 2 / (2 + power) is the irradiance.

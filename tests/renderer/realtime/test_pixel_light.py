@@ -66,7 +66,7 @@ def test_realtime_mean_irradiance_of_a_floor_matches_the_closed_form(name: str) 
     assert_is(irradiance(sequence(lit_scene, DOWN, 256, 0, realtime=settings), 0.5), truth)
 
 
-def test_dim_environment_beside_a_bright_light_makes_no_realtime_fireflies() -> None:
+def test_dim_environment_beside_a_bright_light_causes_no_fireflies_in_real_time() -> None:
     """The bright light gets most samples; samples of the environment in a grazing highlight must not be bright."""
     environment = ls.LightEnvironment(color=(1.0, 1.0, 1.0), intensity=0.1, visible=False)
     floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), replace(diffuse(0.5), roughness=0.5, specular=1.0))
@@ -113,7 +113,7 @@ def test_relit_sheet_in_front_of_a_mesh_matches_the_path_tracer_in_real_time(nam
 
 
 @pytest.mark.parametrize("light", ["point", "rect"])
-def test_direct_light_of_a_realtime_box_fades_in_8_frames_and_indirect_in_24(light: str) -> None:
+def test_light_switched_off_in_real_time_fades_in_8_frames_and_its_bounces_in_24(light: str) -> None:
     """In a box of albedo 0.5, nine tenths of direct light are gone after 8 frames, of indirect light after 24."""
     lights: dict[str, Any] = {
         "point": ls.LightPoint((0.5, 0.8, 0.5), intensity=0.5),

@@ -112,7 +112,7 @@ def per_slot_equal(one: dict[str, np.ndarray], other: dict[str, np.ndarray], nam
     return bool((a.view(np.uint32) == b.view(np.uint32)).all())
 
 
-def test_reset_radiance_cache_equals_a_new_one() -> None:
+def test_radiance_cache_after_a_reset_gives_the_bits_of_a_new_one() -> None:
     """After a reset, a sequence of frames gives the bits of the first run."""
     rig = CacheRig(tiles=700, unused_frames=4)
     run_frames(rig)
@@ -188,7 +188,7 @@ def add_reference_bounces(
     reference.add_bounces(rays, hits)
 
 
-def test_radiance_cache_shows_a_linear_gradient_with_an_error_of_half_a_cell() -> None:
+def test_radiance_cache_reproduces_a_linear_gradient_up_to_half_a_cells_change() -> None:
     """The mean of a cell is the value at its centre, so that the largest error is half a cell's gradient."""
     x, y = np.meshgrid(np.arange(-8, 8, 1 / 8) + 1 / 16, np.arange(-8, 8, 1 / 8) + 1 / 16)
     positions = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)])
@@ -200,7 +200,7 @@ def test_radiance_cache_shows_a_linear_gradient_with_an_error_of_half_a_cell() -
         assert 0.4 * width * 0.3 < error <= 0.5 * width * 0.3
 
 
-def test_radiance_cache_cells_with_few_samples_use_coarser_mips() -> None:
+def test_look_up_of_a_radiance_cache_cell_with_few_samples_uses_a_coarser_mip_level() -> None:
     """A cell with fewer than 8 samples uses the smallest mip level that has 8."""
     rng = np.random.default_rng(5)
     positions = np.column_stack([rng.uniform(0, 8, (64 * 3, 2)), np.full(64 * 3, 0.5)])
@@ -216,7 +216,7 @@ def test_radiance_cache_cells_with_few_samples_use_coarser_mips() -> None:
         assert found[i] == pytest.approx(positions[inside, 0].mean(), abs=2e-6)
 
 
-def test_radiance_cache_keys_distinguish_cells_at_all_scales() -> None:
+def test_radiance_cache_never_confuses_cells_far_from_the_origin_or_of_other_levels() -> None:
     """The cells are far from the origin, on both sides of it, and at all levels."""
     rng = np.random.default_rng(6)
     count = 4000

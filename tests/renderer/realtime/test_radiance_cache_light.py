@@ -69,7 +69,7 @@ def test_radiance_cache_bounces_between_two_plates_match_the_closed_form(frames:
     assert found[is_upper].mean(0) == pytest.approx(truth * upper, rel=0.01)
 
 
-def test_radiance_cache_bounces_light_four_times_a_frame() -> None:
+def test_radiance_cache_adds_four_bounces_of_light_per_frame() -> None:
     """Plates of albedo 0.5 reflect radiance 1 of lights: the sum is 1 + 1/2 + ... + 1/16 after one frame."""
     rng = np.random.default_rng(6)
     rig = CacheRig(bounces=8192)
@@ -104,7 +104,7 @@ def on_walls(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarr
     return position, normal
 
 
-def test_albedos_of_surfaces_in_one_radiance_cache_cell_do_not_mix() -> None:
+def test_stripes_narrower_than_radiance_cache_cells_keep_separate_albedos() -> None:
     """A floor has stripes of two colours narrower than its cells, under a ceiling of radiance 1."""
     rng = np.random.default_rng(5)
     rig = CacheRig()
@@ -165,7 +165,7 @@ def floor_of_two_rooms(rng: np.random.Generator, count: int, x0: float, x1: floa
 
 
 @pytest.mark.parametrize("distance", [0.5, 5.0])
-def test_radiance_cache_leaks_no_light_through_walls_to_short_rays(distance: float) -> None:
+def test_short_rays_read_no_light_through_thin_walls_from_the_radiance_cache(distance: float) -> None:
     """Rays leave the dark side of a wall thinner than a cell, and hit the floor beside the wall.
 
     Rays shorter than a cell do not use means that reach into the bright room. Longer rays use such means, and a third
@@ -210,7 +210,7 @@ def test_two_sides_of_a_thin_wall_share_no_radiance_cache_cell() -> None:
 
 
 @pytest.mark.parametrize(("history", "bounce_history"), [(8, 8), (16, 16), (16, 4)])
-def test_radiance_cache_light_fades_exponentially_with_the_history_length(history: int, bounce_history: int) -> None:
+def test_light_switched_off_fades_exponentially_in_the_radiance_cache(history: int, bounce_history: int) -> None:
     """Direct light fades as (1 - 1/N)^n after n frames of history N; indirect light follows its dark sources."""
     rng = np.random.default_rng(5)
     rig = CacheRig(history=history, bounce_history=bounce_history, bounces=256)  # one ray a cell
@@ -248,7 +248,7 @@ def lit_floor(rig: CacheRig, position: np.ndarray, frames: range, light: float) 
         rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
 
 
-def test_outdated_radiance_cache_light_stays_until_samples_replace_it() -> None:
+def test_outdated_light_in_the_radiance_cache_stays_until_new_samples_replace_it() -> None:
     """When lights go out, samples and rays of the next frame replace the old means; without them, nothing fades."""
     rng = np.random.default_rng(8)
     rig = CacheRig()
@@ -280,7 +280,7 @@ def test_indirect_look_up_of_the_radiance_cache_excludes_direct_light() -> None:
     assert (rig.look_up_indirect(made_samples(position + 100.0)) == 0).all()
 
 
-def test_radiance_cache_counts_two_insertions_in_one_frame_as_one_frame() -> None:
+def test_radiance_cache_ages_old_light_once_per_frame_however_often_it_inserts_samples() -> None:
     """Hits of bounce rays are inserted after hits of pixels, and must not make old means fade twice as fast."""
     rng = np.random.default_rng(6)
     position = on_floor(rng, 3000, 8.0)
@@ -315,7 +315,7 @@ def flown(frames: int, *, bounces: int) -> np.ndarray:
     return np.array(means)
 
 
-def test_radiance_cache_is_continuous_when_cell_levels_change_with_distance() -> None:
+def test_light_in_the_radiance_cache_does_not_jump_when_the_camera_changes_cell_sizes() -> None:
     """Cells of a new level start from those of the old level; otherwise frames would lose indirect light."""
     means = flown(60, bounces=128)[8:]
     steps = np.abs(np.diff(means)) / means[:-1]

@@ -21,7 +21,7 @@ def tile_row(first: int, count: int) -> np.ndarray:
     return np.column_stack([x, np.full(count, 4.5), np.full(count, 0.5)])
 
 
-def test_radiance_cache_evicts_tiles_after_unused_frames() -> None:
+def test_radiance_cache_evicts_a_tile_the_set_number_of_frames_after_its_last_use() -> None:
     """A tile is evicted exactly ``unused_frames`` frames after its last use."""
     rig = CacheRig(unused_frames=10)
     rig.insert(made_samples(tile_row(0, 20), radiance=2.0), 0)
@@ -34,7 +34,7 @@ def test_radiance_cache_evicts_tiles_after_unused_frames() -> None:
     assert rig.statistics.evicted == 0, "none may be evicted early"
 
 
-def test_reused_radiance_cache_slot_retains_nothing_of_the_evicted_tile() -> None:
+def test_slot_of_an_evicted_radiance_cache_tile_is_empty_for_the_next_tile() -> None:
     """The new tile starts without samples of the evicted one."""
     rig = CacheRig(unused_frames=2)
     rng = np.random.default_rng(0)
@@ -49,7 +49,7 @@ def test_reused_radiance_cache_slot_retains_nothing_of_the_evicted_tile() -> Non
         assert found == pytest.approx(frame + 0.5 * (frame < 6), rel=1e-6)
 
 
-def test_full_radiance_cache_evicts_the_tiles_unused_for_longest(caplog: pytest.LogCaptureFixture) -> None:
+def test_full_radiance_cache_evicts_tiles_in_order_of_their_last_use(caplog: pytest.LogCaptureFixture) -> None:
     """The cache holds 64 tiles; evictions are counted and logged once."""
     rig = CacheRig(tiles=64)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -70,7 +70,7 @@ def test_full_radiance_cache_evicts_the_tiles_unused_for_longest(caplog: pytest.
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_radiance_cache_counts_the_tiles_of_a_frame_that_exceed_its_capacity(parallel: bool) -> None:
+def test_radiance_cache_counts_tiles_dropped_because_one_frame_needs_more_than_it_has(parallel: bool) -> None:
     """Samples without a tile return the radiance of the query; tiles of the current frame are not evicted."""
     rig = CacheRig(Launcher("cpu", threads=2, parallel=parallel), tiles=64)
     rig.insert(made_samples(tile_row(-50, 50)), 0)
@@ -104,7 +104,7 @@ def test_radiance_cache_memory_is_constant_over_1000_frames() -> None:
     assert rig.statistics.bytes < 2**21
 
 
-def test_all_radiance_cache_cells_send_bounce_rays_in_turn() -> None:
+def test_every_radiance_cache_cell_sends_a_bounce_ray_before_any_sends_a_second() -> None:
     """A fraction of the cells bounces in each frame: new tiles first, then the cells that have waited longest."""
     rng = np.random.default_rng(2)
     rig = CacheRig(bounces=256)
@@ -128,7 +128,7 @@ def test_all_radiance_cache_cells_send_bounce_rays_in_turn() -> None:
     assert (host["position"][:3, 0] > 8000).all()
 
 
-def test_bounce_points_are_uniform_samples_of_their_radiance_cache_cells() -> None:
+def test_bounce_ray_of_a_radiance_cache_cell_starts_at_a_uniformly_chosen_sample() -> None:
     """Points have the normal and extent of their samples and are uniform over them; keys differ by cell and frame."""
     rng = np.random.default_rng(3)
     rig = CacheRig()
@@ -150,7 +150,7 @@ def test_bounce_points_are_uniform_samples_of_their_radiance_cache_cells() -> No
     assert np.var(drawn) == pytest.approx(1 / 12, rel=0.1)
 
 
-def test_radiance_cache_ignores_bounce_rays_of_evicted_tiles() -> None:
+def test_radiance_of_bounce_rays_from_evicted_radiance_cache_tiles_is_discarded() -> None:
     """The radiance of the rays does not reach the tiles that reuse the slots."""
     rig = CacheRig(tiles=64)
     rig.insert(made_samples(tile_row(0, 64)), 0)
@@ -180,7 +180,7 @@ def test_invalid_radiance_cache_settings_are_refused_with_their_range(settings: 
 
 
 @pytest.mark.parametrize(("budget", "rays"), [(128, 1), (129, 1), (130, 2), (500, 7), (4096, 16)])
-def test_few_radiance_cache_cells_send_up_to_16_bounce_rays_each(budget: int, rays: int) -> None:
+def test_radiance_cache_with_few_cells_sends_up_to_16_bounce_rays_per_cell(budget: int, rays: int) -> None:
     """A cell sends as many rays as fit, at most 16; cells of short rays send one. Rays of one cell are consecutive."""
     rng = np.random.default_rng(4)
     rig = CacheRig(bounces=budget)
@@ -203,7 +203,9 @@ def test_few_radiance_cache_cells_send_up_to_16_bounce_rays_each(budget: int, ra
 
 
 @pytest.mark.parametrize(("far_width", "rays"), [(8.0, 4), (24.0, 1)])
-def test_radiance_cache_cells_of_short_rays_get_at_most_half_of_the_rays(far_width: float, rays: int) -> None:
+def test_radiance_cache_reserves_half_of_the_bounce_rays_for_cells_hit_by_long_rays(
+    far_width: float, rays: int
+) -> None:
     """Half of the rays go to cells of long rays, and after some frames no cell of either kind is left out."""
     rng = np.random.default_rng(5)
     rig = CacheRig(bounces=512)

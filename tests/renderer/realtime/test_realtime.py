@@ -114,7 +114,7 @@ def test_reset_realtime_renderer_equals_a_new_renderer() -> None:
     np.testing.assert_array_equal(frame_after(renderer, ROOM, 3).color, first.color)
 
 
-def test_new_image_size_begins_a_new_realtime_sequence(caplog: pytest.LogCaptureFixture) -> None:
+def test_realtime_renderer_discards_its_history_when_the_image_size_changes(caplog: pytest.LogCaptureFixture) -> None:
     """The new sequence equals that of a new renderer; the change is logged once, unless the renderer was reset."""
     small = room_camera(64, 48)
     renderer, _ = sequence(ROOM, 2)
@@ -130,7 +130,7 @@ def test_new_image_size_begins_a_new_realtime_sequence(caplog: pytest.LogCapture
     assert again.color.mean() == pytest.approx(sequence(ROOM, 12, small)[1].color.mean(), rel=0.02)
 
 
-def test_realtime_light_of_an_unlit_capture_includes_all_bounces() -> None:
+def test_light_that_a_capture_casts_in_real_time_includes_all_bounces() -> None:
     """A captured ball lights a dark room within 1.5 % of the path tracer; bounces are 3 % of the light."""
     dark = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive]
     *walls, ball, tall = (replace(each, mesh=replace(each.mesh, material=matte(0.5))) for each in dark)
@@ -195,7 +195,7 @@ def test_realtime_mirror_shows_indirectly_lit_surfaces_as_bright_as_the_path_tra
     assert frame.color[on_mirror].mean() == pytest.approx(truth.color[on_mirror].mean(), rel=0.15)
 
 
-def test_realtime_shadow_catchers_are_darkened_as_in_hybrid_frames() -> None:
+def test_realtime_and_hybrid_pipelines_darken_shadow_catchers_equally() -> None:
     """Only shadows are applied to the catchers."""
     floor = with_gaussians(PathRoom(ROOM, VIEW), 3000).scene.splats[0]
     receiver = replace(floor, shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
@@ -230,7 +230,7 @@ def test_realtime_frames_cannot_be_resumed() -> None:
         renderer.render(ROOM, VIEW, resume=frame)
 
 
-def test_realtime_memory_is_constant_over_a_long_walk() -> None:
+def test_memory_of_a_realtime_renderer_stays_constant_while_the_camera_walks() -> None:
     """The memory does not grow from frame to frame."""
     renderer, _ = sequence(ROOM, 1)
     sizes: list[int] = []
@@ -242,7 +242,7 @@ def test_realtime_memory_is_constant_over_a_long_walk() -> None:
     assert sizes[-1] == sizes[10]
 
 
-def test_realtime_light_sampled_every_second_frame_has_the_same_mean() -> None:
+def test_realtime_light_has_equal_means_if_sampled_every_frame_or_every_second_frame() -> None:
     """With half of the samples a frame, the mean after 64 frames is equal, and disoccluded pixels are not black."""
     settings = ls.RealtimeConfig(light_interval=2)
     truth = sequence(ROOM, 64, max_bounces=0)[1].color

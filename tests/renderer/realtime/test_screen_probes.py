@@ -37,7 +37,7 @@ def bright_wall(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles
 
 @pytest.mark.parametrize("extent", [0.0, 0.01])
 @pytest.mark.parametrize("noise", [0.0, 20.0])
-def test_screen_probes_are_exact_in_a_white_furnace(extent: float, noise: float) -> None:
+def test_screen_probes_give_exact_irradiance_in_a_white_furnace(extent: float, noise: float) -> None:
     """In constant radiance, each pixel is exact from the first frame on, at any tilt and with noisy normals."""
     surfaces = visible_box(box_camera(), extent)
     surfaces.normal = tilted(surfaces.normal, noise, seed=1)
@@ -48,7 +48,7 @@ def test_screen_probes_are_exact_in_a_white_furnace(extent: float, noise: float)
         )
 
 
-def test_screen_probes_are_exact_in_a_white_furnace_with_a_moving_camera() -> None:
+def test_screen_probes_give_exact_irradiance_in_a_white_furnace_with_a_moving_camera() -> None:
     """Reprojection, new probes and the filter neither gain nor lose light."""
     sequence = ProbeSequence(constant(GREY))
     for step in range(12):
@@ -59,7 +59,7 @@ def test_screen_probes_are_exact_in_a_white_furnace_with_a_moving_camera() -> No
 
 @pytest.mark.parametrize("degrees", [0, 20, 45, 70, 90, 120])
 @pytest.mark.parametrize("extent", [0.0, 0.02])
-def test_screen_probe_irradiance_of_a_bright_half_space_is_within_3_percent(degrees: float, extent: float) -> None:
+def test_screen_probe_irradiance_under_a_bright_half_sphere_is_within_3_percent(degrees: float, extent: float) -> None:
     """E = pi L (1 + cos d) / 2 at tilt d; SH degree, cells and the horizon of meshes cause errors of at most 3 %."""
     angle = np.radians(degrees)
     normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
@@ -104,7 +104,7 @@ def wall_irradiance(surfaces: VisibleSurfaces) -> Doubles:
     return np.array(values)
 
 
-def test_screen_probes_lose_no_light_on_noisy_normals() -> None:
+def test_surfaces_with_noisy_normals_lose_no_light_from_screen_probes() -> None:
     """Gaussians whose normals scatter by 20 degrees get within 1 % of the light that their cosines imply."""
     camera = ls.Camera.look_at((0.1, 0.8, 3.0), (0, 0, 0), (0.0, 1.0, 0.1), width=160, height=96, fov_y=0.6)
     smooth = visible_plane(camera, (0.0, 0.0, 1.0), 0.02)
@@ -121,7 +121,7 @@ def test_screen_probes_lose_no_light_on_noisy_normals() -> None:
     assert smooth.share.all()
 
 
-def test_screen_probes_light_disoccluded_pixels_at_once() -> None:
+def test_disoccluded_pixels_get_screen_probe_light_in_their_first_frame() -> None:
     """A panel before most of the image vanishes; all disoccluded pixels have light in the next frame."""
     sequence = ProbeSequence(constant(GREY))
     surfaces = visible_box(box_camera())
@@ -171,7 +171,7 @@ def test_screen_probes_leak_no_light_around_a_post() -> None:
     assert off.max() < 0.05
 
 
-def test_screen_probes_light_isolated_pixels() -> None:
+def test_pixels_far_from_any_screen_probe_get_finite_nonzero_light() -> None:
     """A single pixel, one of small coverage, and one far from all lit probes are neither black nor NaN."""
     surfaces = visible_box(box_camera())
     surfaces.share[:] = 0.0
@@ -249,7 +249,7 @@ def seen_floor(camera: ls.Camera, end: float, offset: tuple[float, float]) -> Vi
 
 
 @pytest.mark.parametrize("slope", [1.0, -1.0])
-def test_screen_probes_light_a_floor_at_a_grazing_angle_without_loss(slope: float) -> None:
+def test_floor_seen_at_a_grazing_angle_loses_no_screen_probe_light_far_away(slope: float) -> None:
     """Light that changes with distance is right within 2 % far away, after any number of frames.
 
     Far away, a tile covers metres of the floor, which a probe at the near end of the tile does not represent.

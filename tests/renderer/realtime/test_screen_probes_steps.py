@@ -65,7 +65,7 @@ def one(cells: oracle.Cells, i: int) -> oracle.Cells:
 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
-def test_reprojection_of_static_screen_probes_is_the_identity(extent: float) -> None:
+def test_screen_probes_reprojected_in_a_static_scene_keep_position_and_light(extent: float) -> None:
     """A probe that is reprojected onto itself keeps its position and its cells."""
     sequence, surfaces = ProbeSequence(striped), visible_box(box_camera(), extent)
     for _ in range(6):
@@ -104,7 +104,7 @@ def test_screen_probes_keep_their_position_while_samples_and_camera_move(moves: 
 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
-def test_reprojected_cells_of_screen_probes_match_the_reference(extent: float) -> None:
+def test_directional_cells_of_reprojected_screen_probes_match_the_reference(extent: float) -> None:
     """Most directions change when a probe moves."""
     sequence = ProbeSequence(striped, refreshed=1.0)
     for _ in range(3):
@@ -128,7 +128,7 @@ def test_reprojected_cells_of_screen_probes_match_the_reference(extent: float) -
     assert moved > 20
 
 
-def test_screen_probes_follow_moving_surfaces() -> None:
+def test_screen_probes_on_a_moving_surface_move_with_it() -> None:
     """A plane that moves sideways takes its probes and their cells along; the camera is static."""
     camera = ls.Camera.look_at((0.0, 0.0, 3.0), (0, 0, 0), (0.0, 1.0, 0.0), width=160, height=96, fov_y=0.6)
     sequence, surfaces = ProbeSequence(striped, refreshed=1.0), visible_plane(camera, (0.0, 0.0, 1.0))
@@ -145,7 +145,7 @@ def test_screen_probes_follow_moving_surfaces() -> None:
     assert np.median(directions[:, 0]) == pytest.approx(step[0], abs=0.01)
 
 
-def test_screen_probe_rays_are_uniform_in_their_cells() -> None:
+def test_screen_probe_rays_are_distributed_uniformly_over_each_directional_cell() -> None:
     """Each cell has one ray per refresh; the directions are spread over the cell and do not repeat."""
     sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), refreshed=1.0)
     surfaces = visible_box(box_camera(), 0.004)
@@ -179,7 +179,7 @@ def test_screen_probe_rays_start_above_their_surface() -> None:
         np.testing.assert_allclose(device_array(rays.t_min).numpy()[active], SHADOW_OFFSET * extent, rtol=1e-6)
 
 
-def test_all_screen_probes_are_refreshed_in_turn() -> None:
+def test_screen_probes_are_refreshed_in_turn_new_ones_first_then_the_oldest() -> None:
     """New probes are refreshed first, spread over the image, then the oldest, in a fixed number a frame."""
     sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.0), visible_box(box_camera(), 0.002)
     rounds = np.zeros((6, 10), np.int32)
@@ -195,7 +195,7 @@ def test_all_screen_probes_are_refreshed_in_turn() -> None:
 
 
 @pytest.mark.parametrize("history", [1, 4, 8])
-def test_cell_means_of_screen_probes_match_the_reference(history: int) -> None:
+def test_mean_light_in_directional_cells_of_screen_probes_matches_the_reference(history: int) -> None:
     """A young mean counts as half of its samples, an old one as its history; non-finite samples are dropped."""
     surfaces = visible_box(box_camera(), 0.002)
     light = [1.0, 2.0, np.nan, 6.0, *[3.0] * 7, 30.0]
@@ -219,7 +219,7 @@ def test_cell_means_of_screen_probes_match_the_reference(history: int) -> None:
         np.testing.assert_array_equal(cells.samples, count)
 
 
-def test_outdated_screen_probe_light_stays_until_a_ray_replaces_it() -> None:
+def test_outdated_light_of_a_screen_probe_cell_stays_until_its_next_ray_replaces_it() -> None:
     """When light changes, the next ray of a cell replaces the old mean; until then, the cell keeps its mean."""
     surfaces = visible_box(box_camera(), 0.002)
     old, new = np.array([4.0, 1.0, 0.5]), np.array([0.5, 2.0, 0.0])
@@ -253,7 +253,7 @@ def thin_pole(camera: ls.Camera) -> VisibleSurfaces:
     return surfaces
 
 
-def test_surfaces_missed_by_tile_probes_get_adaptive_screen_probes() -> None:
+def test_surfaces_of_a_tile_that_its_screen_probe_does_not_represent_get_further_probes() -> None:
     """Each surface of a tile that differs from the tile probe's gets an adaptive probe, up to a limit; they persist."""
     surfaces = thin_pole(box_camera())
     sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=1.0, refreshed=1.0)
@@ -274,7 +274,7 @@ def test_surfaces_missed_by_tile_probes_get_adaptive_screen_probes() -> None:
     assert (device_array(none.probes.adaptive_of).numpy() == -1).all()
 
 
-def test_screen_probe_filter_does_not_blur_near_hits_with_the_background() -> None:
+def test_screen_probe_filter_does_not_mix_nearby_hits_with_distant_ones() -> None:
     """Neighbouring probes reduce the noise of new probes."""
     surfaces = visible_box(box_camera(), 0.002)
     rng = np.random.default_rng(3)
@@ -292,7 +292,7 @@ def test_screen_probe_filter_does_not_blur_near_hits_with_the_background() -> No
 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
-def test_irradiance_look_ups_in_screen_probes_match_the_reference(extent: float) -> None:
+def test_irradiance_that_pixels_interpolate_from_screen_probes_matches_the_reference(extent: float) -> None:
     """A pixel uses the probes of the four tiles around it that no pole occludes; some pixels have none."""
     surfaces = thin_pole(box_camera())
     surfaces.extent[:] = extent
@@ -334,7 +334,7 @@ def test_irradiance_look_ups_in_screen_probes_match_the_reference(extent: float)
     assert compared > 40 and cut_off > 40
 
 
-def test_glossy_look_ups_in_screen_probes_interpolate_between_cells() -> None:
+def test_glossy_light_from_screen_probes_is_interpolated_between_directional_cells() -> None:
     """Look-ups are linear between cells, also across the border of the map: a slow gradient is reproduced."""
     surfaces = visible_box(box_camera(), 0.002)
 

@@ -90,7 +90,7 @@ def test_replacing_a_gaussian_set_by_one_of_equal_count_refits_its_bvh(backend: 
 @pytest.mark.parametrize(
     "change", ["count", "degree", "other still there", "other index", "order", "one more", "one less", "none", "back"]
 )
-def test_rearranged_gaussian_sets_keep_their_bvhs(backend: str, change: str) -> None:
+def test_bvh_of_a_gaussian_set_is_kept_when_sets_of_the_scene_are_rearranged(backend: str, change: str) -> None:
     """BVHs stay with their sets; a set that replaces none gets a new BVH."""
     first, second = random_gaussians(5, 60), random_gaussians(6, 60)
     warm = renderer_of(backend, TRACE)
@@ -165,7 +165,9 @@ def test_gaussian_whose_bounds_overflow_does_not_change_other_gaussians(backend:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
-def test_deep_bvhs_are_traversed_with_a_larger_stack(pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_equal_with_the_larger_traversal_stack_for_deep_bvhs(
+    pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Kernels with the largest stack give equal frames, also from graphs."""
     ball = ls.gaussians_from_mesh(ls.sphere(), 900, seed=3)
     positions = [similarity(offset=(0.3 * i - 1.5, 0.0, 4.0 + 0.1 * i), scale=0.5) for i in range(12)]
@@ -183,7 +185,7 @@ def test_deep_bvhs_are_traversed_with_a_larger_stack(pipeline: ls.Pipeline, monk
     np.testing.assert_array_equal(*frames)
 
 
-def test_traversal_stack_covers_the_deepest_path_of_both_bvh_levels() -> None:
+def test_traversal_stack_is_large_enough_for_top_level_tree_and_deepest_bvh_together() -> None:
     """The deepest path goes through the top-level tree and the deepest BVH of a set."""
     renderer = renderer_of("cpu", TRACE)
     small, large = random_gaussians(1, 5), random_gaussians(2, 3000)
@@ -203,7 +205,7 @@ def test_traversal_stack_covers_the_deepest_path_of_both_bvh_levels() -> None:
 # --- Failures half-way ---
 
 
-def test_failed_upload_leaves_no_stale_addresses_in_the_bvh_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bvh_tables_hold_no_addresses_of_freed_arrays_after_a_failed_upload(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sets that were freed for a scene that did not fit have new addresses when they return."""
     first, second = random_gaussians(9, 60), random_gaussians(10, 70)
     renderer = renderer_of("cpu", TRACE)
@@ -222,7 +224,7 @@ def test_failed_upload_leaves_no_stale_addresses_in_the_bvh_tables(monkeypatch: 
     assert row == renderer._scene.assets[0].data.rotations.ptr != freed.rotations.ptr
 
 
-def test_failed_bvh_build_leaves_no_stale_bvh(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bvh_refitted_before_a_failed_build_is_not_used_again(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A BVH that was refitted before the next build failed is not reused."""
     first, second = random_gaussians(11, 60), random_gaussians(12, 70)
     renderer = renderer_of(backend, TRACE)
@@ -274,7 +276,7 @@ def leaves(nodes: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 8, 9, 17, 64, 65, 300])
-def test_top_level_tree_contains_each_instance_box_once(count: int) -> None:
+def test_top_level_bvh_contains_each_instance_box_once(count: int) -> None:
     """The boxes are unchanged, and the tree has as few nodes as possible."""
     low, high = boxes(count)
     nodes = tree_of_boxes(low, high)
@@ -286,7 +288,7 @@ def test_top_level_tree_contains_each_instance_box_once(count: int) -> None:
     assert len(nodes) <= 1 + count // 2
 
 
-def test_top_level_tree_leaves_out_inverted_instance_boxes() -> None:
+def test_top_level_bvh_leaves_out_inverted_instance_boxes() -> None:
     """Empty instances have no leaf, and coinciding boxes have one leaf each."""
     low, high = boxes(40)
     low[::3], high[::3] = np.float32(FAR), -np.float32(FAR)
@@ -295,7 +297,7 @@ def test_top_level_tree_leaves_out_inverted_instance_boxes() -> None:
     assert leaves(tree_of_boxes(high[::3], low[::3])) != {} and leaves(tree_of_boxes(low[::3], high[::3])) == {}
 
 
-def test_top_level_tree_groups_near_instance_boxes() -> None:
+def test_top_level_bvh_groups_instance_boxes_that_are_close_together() -> None:
     """For eight clusters of eight boxes, the root's children are the clusters."""
     corners = np.array([[x, y, z] for x in (0, 10) for y in (0, 20) for z in (0, 40)], float)
     low = (corners[None] + np.random.default_rng(0).uniform(0.0, 1.0, (8, 8, 3))).reshape(-1, 3)

@@ -53,7 +53,7 @@ def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_releasing_a_renderer_frees_the_scene(pipeline: ls.Pipeline) -> None:
+def test_release_method_of_a_renderer_frees_the_memory_of_the_scene(pipeline: ls.Pipeline) -> None:
     """The next frame equals that of a new renderer."""
     settings = ls.RenderConfig(pipeline=pipeline, samples=1)
     camera = front_camera(24, 16)
@@ -173,7 +173,7 @@ def test_gaussian_set_whose_memory_was_overwritten_is_uploaded_again(pipeline: l
 
 
 @pytest.mark.usefixtures("copied")
-def test_rebuilt_bvhs_are_shrunk_again_for_shared_random_numbers() -> None:
+def test_rebuilt_bvh_is_shrunk_again_for_random_numbers_shared_by_rays() -> None:
     """Shared random numbers shrink BVH nodes level by level, and a rebuilt BVH has other levels."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=144, height=96)
     shown = dataclasses.replace(shown, meshes=[sphere(0.1, rows=6, columns=8)])
@@ -206,7 +206,7 @@ def test_renderers_do_not_write_to_the_arrays_of_captures() -> None:
     np.testing.assert_array_equal(first.means, before)
 
 
-def test_view_of_a_buffer_keeps_its_memory_block_alive() -> None:
+def test_memory_block_of_a_buffer_lives_as_long_as_a_view_of_it() -> None:
     """The view of the block is valid as long as the view exists."""
     buffers = Buffers("cpu")
     block, parts = buffers.split("pixels", [("alpha", wp.float32, 1), ("color", wp.vec3, 3)], 8)

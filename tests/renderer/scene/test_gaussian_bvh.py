@@ -169,7 +169,7 @@ def waiting_of(links: np.ndarray) -> list[int]:
     return most
 
 
-def test_traversal_stack_size_of_a_bvh_is_a_tight_bound(launcher: Launcher) -> None:
+def test_worst_traversal_of_a_bvh_fills_its_stated_stack_size_and_none_exceeds_it(launcher: Launcher) -> None:
     """No order of visits exceeds the size, and the worst path reaches it."""
     rng = np.random.default_rng(8)
     clumps = (rng.normal(size=(3000, 3)) * np.exp(-rng.uniform(0.0, 12.0, (3000, 1)))).astype(np.float32)
@@ -273,7 +273,7 @@ def test_leaf_boxes_of_a_refitted_bvh_equal_those_of_a_new_bvh(launcher: Launche
     np.testing.assert_array_equal(found.high, fresh.high)
 
 
-def test_large_moves_of_gaussians_rebuild_the_bvh(launcher: Launcher) -> None:
+def test_bvh_is_rebuilt_and_not_refitted_after_large_moves_of_gaussians(launcher: Launcher) -> None:
     """When all Gaussians swap positions, the result is that of a new BVH."""
     gaussians = random_gaussians(12, 2000, scale_range=(0.01, 0.05))
     tree = tree_of(launcher, gaussians)
@@ -286,7 +286,7 @@ def test_large_moves_of_gaussians_rebuild_the_bvh(launcher: Launcher) -> None:
     assert walked(tree, 2000).items.tolist() == walked(fresh, 2000).items.tolist()
 
 
-def test_bvh_of_invisible_gaussians_is_rebuilt_once_they_become_visible(launcher: Launcher) -> None:
+def test_bvh_is_rebuilt_when_gaussians_that_were_invisible_become_visible(launcher: Launcher) -> None:
     """The new BVH has the cost of one built over the visible Gaussians."""
     gaussians = random_gaussians(13, 1000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.05))
     tree = tree_of(launcher, replace(gaussians, opacities=np.zeros(1000)))

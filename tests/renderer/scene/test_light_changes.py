@@ -74,7 +74,7 @@ OTHER = {
 
 
 @pytest.mark.parametrize("change", SAME | CHANGED | OTHER)
-def test_weight_of_cached_lighting_falls_when_lights_change(change: str) -> None:
+def test_weight_of_realtime_history_falls_when_lights_change(change: str) -> None:
     """The weight falls for several frames after a small change, and to almost 0 in the frame of an abrupt one."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False) for _ in range(3)] == [1.0] * 3
@@ -87,7 +87,7 @@ def test_weight_of_cached_lighting_falls_when_lights_change(change: str) -> None
 
 
 @pytest.mark.parametrize("move", MOVED)
-def test_weight_of_cached_lighting_falls_less_and_longer_while_objects_move(move: str) -> None:
+def test_moving_objects_lower_the_weight_of_realtime_history_less_than_changed_lights(move: str) -> None:
     """After a change of lights, the weight falls more and recovers sooner."""
     changes = LightChanges()
     changes.history_weight(LIT, False)
@@ -95,7 +95,7 @@ def test_weight_of_cached_lighting_falls_less_and_longer_while_objects_move(move
     assert after == [MOVED_HISTORY_WEIGHT] * MOVED_FRAMES + [1.0]
 
 
-def test_emissive_captures_count_as_lights_when_lighting_changes_are_detected() -> None:
+def test_moving_or_new_emissive_capture_counts_as_a_change_of_lights() -> None:
     """A moving emissive capture changes the lighting, and a capture that becomes emissive is a new light."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False, (0,)) for _ in range(2)] == [1.0] * 2
@@ -103,7 +103,7 @@ def test_emissive_captures_count_as_lights_when_lighting_changes_are_detected() 
     assert changes.history_weight(MOVED["a capture that moves"], False) == OUTDATED_HISTORY_WEIGHT
 
 
-def test_first_frame_of_a_sequence_gives_cached_lighting_its_full_weight() -> None:
+def test_first_frame_of_a_realtime_sequence_gives_history_its_full_weight() -> None:
     """Every sequence starts with the full weight, also after a reset."""
     changes = LightChanges()
     assert changes.history_weight(LIT, False) == 1.0
@@ -111,7 +111,7 @@ def test_first_frame_of_a_sequence_gives_cached_lighting_its_full_weight() -> No
     assert changes.history_weight(ls.Scene(), False) == 1.0
 
 
-def test_headlight_of_a_scene_that_lost_its_lights_counts_as_a_lighting_change() -> None:
+def test_headlight_that_replaces_removed_lights_counts_as_a_change_of_lights() -> None:
     """When the last light is removed, the headlight is a new light."""
     changes, dark = LightChanges(), replace(LIT, lights=())
     assert [changes.history_weight(dark, False) for _ in range(2)] == [1.0] * 2

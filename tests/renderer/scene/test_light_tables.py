@@ -115,7 +115,7 @@ def test_light_table_of_a_scene_without_lights_has_a_headlight(rig: Rig) -> None
     assert (rig.table.count, rig.table.names) == (0, ())
 
 
-def test_light_table_without_environment_has_arrays_of_one_element(rig: Rig) -> None:
+def test_light_table_of_a_scene_without_environment_has_arrays_of_one_element(rig: Rig) -> None:
     """A flag tells kernels that there is no environment."""
     rig.sync(LightPoint((0, 0, 0)))
     data = rig.table.environment
@@ -123,7 +123,7 @@ def test_light_table_without_environment_has_arrays_of_one_element(rig: Rig) -> 
     assert [data.texels.size, data.row_ends.size, data.column_ends.size, data.width, data.height] == [1] * 5
 
 
-def test_light_table_stores_image_factor_rotation_and_visibility_of_the_environment(rig: Rig) -> None:
+def test_light_table_stores_the_environments_image_factor_rotation_and_visibility(rig: Rig) -> None:
     """The rotation is stored as a matrix from environment to world space."""
     rig.sync(LightEnvironment(IMAGE, (1.0, 0.5, 0.25), 2.0, (0.0, 1.0, 0.0, 0.0), visible=False))
     data = rig.table.environment

@@ -100,7 +100,7 @@ def points_near(transform: Doubles, count: int = 16) -> Doubles:
 
 
 @pytest.mark.parametrize("move", MOVES)
-def test_points_of_moving_instances_have_their_previous_positions(move: str) -> None:
+def test_previous_position_of_a_point_follows_from_its_instances_previous_transform(move: str) -> None:
     """The previous transform gives the previous position; one frame later, the instance has not moved."""
     gaussians, mesh, now = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES[move]
     sequence = Sequence()

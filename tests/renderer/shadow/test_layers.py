@@ -47,7 +47,7 @@ def gaussians_near_rays(count: int, *, has_normals: bool) -> tuple[ls.Gaussians,
     "method", [ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.FIRST_HITS], ids=lambda method: method.value
 )
 @pytest.mark.parametrize("has_normals", [False, True], ids=["planes", "own normals"])
-def test_shadow_rays_are_blocked_by_near_gaussians_of_other_layers(
+def test_shadow_rays_are_blocked_by_nearby_gaussians_that_belong_to_another_surface(
     schedule: str, method: ls.config.ShadowMethod, has_normals: bool
 ) -> None:
     """Results match the float64 reference, also for a transformed instance, with and without stored normals."""
@@ -146,7 +146,7 @@ def test_no_light_leaks_at_the_seam_between_splats_and_meshes(pipeline: ls.Pipel
 
 
 @PIPELINES
-def test_closed_room_of_gaussians_gets_no_direct_environment_light(pipeline: ls.Pipeline) -> None:
+def test_inside_of_a_closed_room_of_gaussians_gets_no_direct_environment_light(pipeline: ls.Pipeline) -> None:
     """Blocks of pixels at edges of the room are dark; before near layers blocked light, 8 % leaked at the edges."""
     frame = lit(room(20_000), CORNER, pipeline, samples=8, shadows=ls.Shadows.SOFT)
     light = frame.color[..., 1]
@@ -184,7 +184,7 @@ def sheet(shape: str) -> ls.Gaussians:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda pipeline: pipeline.value)
 @pytest.mark.parametrize("has_normals", [False, True], ids=["planes", "own normals"])
 @pytest.mark.parametrize(("shape", "lost"), [("flat", 0.002), ("hill", 0.002), ("bowl", 0.002), ("noisy", 0.035)])
-def test_layers_of_gaussians_do_not_shadow_themselves(
+def test_surfaces_made_of_gaussians_do_not_shadow_themselves(
     shape: str, lost: float, has_normals: bool, pipeline: ls.Pipeline
 ) -> None:
     """Light comes from 20 and 80 degrees; noisy layers lose no more than without the test for other layers."""
@@ -202,7 +202,7 @@ def test_layers_of_gaussians_do_not_shadow_themselves(
 
 
 @PIPELINES
-def test_shadow_of_a_wall_of_gaussians_reaches_its_foot(pipeline: ls.Pipeline) -> None:
+def test_shadow_of_a_wall_of_gaussians_on_the_floor_begins_at_its_foot(pipeline: ls.Pipeline) -> None:
     """Wall and floor consist of discs of one scale; the floor is dark up to the wall, not only four scales from it."""
     x, y = (0.03 * axis.ravel() for axis in np.mgrid[-25:26, -25:26])
     ground = discs(np.stack([x, y, 0.0 * x], axis=1), np.tile(Z, (len(x), 1)), 0.04)

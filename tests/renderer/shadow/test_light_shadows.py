@@ -165,7 +165,9 @@ def test_penumbra_of_a_sun_behind_a_straight_edge_matches_the_closed_form(pipeli
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.SOFT], ids=lambda shadows: shadows.value)
-def test_object_blocks_a_light_only_if_it_is_nearer_than_the_light(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
+def test_object_casts_a_shadow_only_if_it_is_between_surface_and_light(
+    shadows: ls.Shadows, pipeline: ls.Pipeline
+) -> None:
     """A lid right below a light darkens the floor; a lid right above the light changes nothing."""
     lights = [
         ls.LightSphere((0.0, 2.0, 0.0), 0.3, intensity=5.0),
@@ -216,7 +218,7 @@ def stack() -> ls.Gaussians:
 
 @PIPELINES
 @pytest.mark.parametrize("kind", ["sun", "environment"])
-def test_shadow_distance_limits_which_objects_cast_shadows(pipeline: ls.Pipeline, kind: str) -> None:
+def test_objects_beyond_the_shadow_distance_of_a_light_cast_no_shadow(pipeline: ls.Pipeline, kind: str) -> None:
     """A captured sky 5 above a floor does not block light with a shorter ``shadow_distance``; nearer objects do."""
     captured_sky = ls.gaussians_from_mesh(
         parallelogram((-9.0, 5.0, 9.0), (18.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5)), 4000
@@ -268,7 +270,7 @@ STACK_LIGHT = ls.LightPoint((0.1, 2.2, -0.1), color=(1.0, 0.9, 0.8), intensity=5
 
 @PIPELINES
 @pytest.mark.parametrize("method", ls.config.ShadowMethod, ids=lambda method: method.value)
-def test_shadow_of_gaussians_is_the_product_of_their_transmittances(
+def test_shadow_of_several_gaussians_is_the_product_of_their_transmittances(
     pipeline: ls.Pipeline, method: ls.config.ShadowMethod
 ) -> None:
     """The product of 1 - alpha is exact, also for up to eight nearest hits; stochastic shadows have its mean."""
@@ -334,7 +336,7 @@ def test_transmittance_threshold_is_subtracted_from_shadow_transmittance_and_res
     assert np.percentile(off, 98) < 2e-4
 
 
-def test_shadows_are_tinted_by_the_colours_of_the_blocking_gaussians() -> None:
+def test_shadows_in_frames_are_tinted_by_the_colours_of_the_blocking_gaussians() -> None:
     """The tint is the mean colour of the Gaussians, brightest channel 1, weighted by strength times darkness."""
     shadow = ls.ShadowConfig(color_strength=1.5)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
@@ -364,7 +366,7 @@ def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
 
 
 @PIPELINES
-def test_shadow_catcher_is_darkened_by_the_blocked_fraction_of_its_light(pipeline: ls.Pipeline) -> None:
+def test_shadow_catcher_is_darkened_by_the_fraction_of_received_light_that_is_blocked(pipeline: ls.Pipeline) -> None:
     """Without ambient light, the shadow of the only light is black; with two lights, the other light remains."""
     capture = sheet(shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
     lid = parallelogram((-0.4, 0.7, 0.4), (0.8, 0.0, 0.0), (0.0, 0.0, -0.8), matte(0.5))

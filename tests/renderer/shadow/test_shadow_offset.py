@@ -19,7 +19,7 @@ OVERHEAD = ls.LightDirectional((0.1, -1.0, 0.05), intensity=3.0)
 @pytest.mark.parametrize(
     "method", [ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.FIRST_HITS], ids=lambda method: method.value
 )
-def test_smaller_of_two_gaussians_determines_the_shadow_offset_between_them(
+def test_shadow_offset_between_two_gaussians_is_that_of_the_smaller_one(
     schedule: str, method: ls.config.ShadowMethod
 ) -> None:
     """A Gaussian blocks beyond the smaller of the offsets of either Gaussian, in scales and in world units."""
@@ -98,7 +98,7 @@ def test_objects_close_above_wide_splats_cast_shadows_on_them(pipeline: ls.Pipel
 
 
 @PIPELINES
-def test_rough_layer_of_splats_does_not_shadow_itself(pipeline: ls.Pipeline) -> None:
+def test_surface_of_splats_scattered_in_height_and_tilt_does_not_shadow_itself(pipeline: ls.Pipeline) -> None:
     """Disc heights scatter by 0.6 of their scale, and tilts by 20 degrees, as in captures."""
     share, _ = floor_light([floor_of_discs(0.05, 0.01, 0.03, 0.35)], pipeline)
     assert len(share) > 1000

@@ -89,7 +89,7 @@ def test_transmittance_of_a_shadow_ray_is_the_product_over_its_gaussians(rig: Sh
     np.testing.assert_allclose(light, np.outer([1.0, 0.5, 0.1, 0.07, 0.07, 0.07], np.ones(3)), rtol=1e-5)
 
 
-def test_shadow_ray_skips_gaussians_whose_peak_is_before_t_min(rig: ShadowRig) -> None:
+def test_shadow_ray_skips_gaussians_whose_response_peaks_before_the_start_of_the_ray(rig: ShadowRig) -> None:
     """A ray that ends before ``t_min`` hits no Gaussian."""
     t_min = np.array([0.0, 3.1, 4.1, 9.0, 3.1])
     t_max = np.array([np.inf, np.inf, np.inf, np.inf, 2.0])
@@ -107,7 +107,7 @@ def test_transmittance_of_shadow_rays_matches_the_float64_reference(rig: ShadowR
 
 
 @pytest.mark.parametrize("response", [{"min_response": 0.2}, {"kernel_degree": 5}])
-def test_shadow_rays_use_the_extent_and_response_settings_of_camera_rays(
+def test_minimum_response_and_kernel_degree_apply_to_shadow_rays_as_to_camera_rays(
     rig: ShadowRig, response: dict[str, Any]
 ) -> None:
     """Shadows match the float64 reference with another minimum response and with another kernel degree."""
@@ -116,7 +116,7 @@ def test_shadow_rays_use_the_extent_and_response_settings_of_camera_rays(
     )
 
 
-def test_transmittance_of_shadow_rays_ignores_the_hit_distance_setting(rig: ShadowRig) -> None:
+def test_hit_distance_setting_does_not_change_the_transmittance_of_shadow_rays(rig: ShadowRig) -> None:
     """All Gaussians that peak before the light count, whatever ``hit_distance`` is."""
     assert_matches_reference(rig, placed_scene(), seed=20, hit_distance=ls.config.HitDistance.HULL)
 
@@ -166,7 +166,7 @@ def test_shadow_rays_do_not_depend_on_thread_count() -> None:
 # --- Threshold and tint ---
 
 
-def test_transmittance_threshold_rescales_the_light_of_shadow_rays_above_it(rig: ShadowRig) -> None:
+def test_shadow_rays_are_black_up_to_the_transmittance_threshold_and_linear_above(rig: ShadowRig) -> None:
     """Light is black up to the threshold, unchanged where nothing blocks the ray, and linear between."""
     light = rig.light(
         ls.Scene([stack(0.2, 0.5, 0.5)]),
@@ -209,7 +209,9 @@ def test_tint_and_threshold_of_shadow_rays_match_the_float64_reference(rig: Shad
 
 
 @pytest.mark.parametrize("reverse", [False, True])
-def test_first_hits_shadow_rays_are_blocked_by_the_nearest_four_gaussians(rig: ShadowRig, reverse: bool) -> None:
+def test_shadow_rays_by_the_first_hits_method_are_blocked_by_the_nearest_four_gaussians(
+    rig: ShadowRig, reverse: bool
+) -> None:
     """Product and tint are those of the nearest four in any storage order; further Gaussians do not block."""
     six = stack(0.1, 0.2, 0.3, 0.4, 0.9, 0.9)
     scene = ls.Scene([six.subset(np.arange(5, -1, -1)) if reverse else six])
@@ -221,7 +223,7 @@ def test_first_hits_shadow_rays_are_blocked_by_the_nearest_four_gaussians(rig: S
     np.testing.assert_allclose(blue, 0.0625 * np.array([1.0 - 0.9375 * (1.0 - tint)] * 2 + [1.0]), rtol=1e-4)
 
 
-def test_first_hits_at_equal_distance_are_ordered_by_gaussian_index(rig: ShadowRig) -> None:
+def test_shadow_method_first_hits_orders_hits_at_equal_distance_by_gaussian_index(rig: ShadowRig) -> None:
     """The Gaussians are coincident copies."""
     same = copies(12, 60)
     aim = normalized(np.array([0.1, -0.2, 4.0]))
@@ -229,7 +231,7 @@ def test_first_hits_at_equal_distance_are_ordered_by_gaussian_index(rig: ShadowR
     np.testing.assert_allclose(light, np.prod(1.0 - same.opacities[:8].astype(float)), rtol=1e-4)
 
 
-def test_first_hits_shadows_are_never_darker_than_exact_shadows(rig: ShadowRig) -> None:
+def test_shadows_by_the_first_hits_method_are_never_darker_than_exact_shadows(rig: ShadowRig) -> None:
     """Gaussians beyond the limit do not darken; rays that cross few Gaussians count all of them."""
     origins, along = rays_around(61)
     scene = ls.Scene([random_gaussians(62, 400)])
@@ -283,7 +285,7 @@ def test_smooth_glass_transmits_and_tints_shadow_rays(rig: ShadowRig) -> None:
         np.testing.assert_allclose(rig.light(scene, [0.3, 0.1, 0.0], AHEAD)[0], expected, atol=1e-6)
 
 
-def test_both_faces_of_a_pane_reflect_equally_for_shadow_rays(rig: ShadowRig) -> None:
+def test_shadow_rays_through_a_glass_pane_lose_the_same_fraction_at_both_faces(rig: ShadowRig) -> None:
     """Light passes straight: both faces use Fresnel's reflectance of air to glass, and a slab transmits the square."""
     material = glass(specular=1.0)
     slanted = normalized(np.array([0.9, 0.1, 0.3]))
@@ -387,7 +389,7 @@ def test_shadow_rays_that_skip_shadow_catchers_hit_all_other_objects(rig: Shadow
     assert (rig.light(alone, np.zeros((16, 3)), AHEAD, skips=1) == 1.0).all()
 
 
-def test_degenerate_shadow_rays_give_no_nan_and_do_not_affect_other_rays(rig: ShadowRig) -> None:
+def test_inactive_nan_and_zero_length_shadow_rays_give_no_nan_in_any_ray(rig: ShadowRig) -> None:
     """Degenerate rays are inactive, NaN, or have the light at their origin."""
     scene = ls.Scene([stack(0.5)], [quad(5.0, material=glass())])
     t_max = np.tile([4.0, -np.inf, 0.0, -1.0, np.inf, np.nan, 4.0, np.inf], 4)
@@ -465,7 +467,9 @@ def test_neighbouring_stochastic_shadow_rays_draw_independent_numbers(rig: Shado
 
 
 @SHARED
-def test_acceptance_scale_raises_the_blocking_probability_of_each_gaussian(rig: ShadowRig, shared: bool) -> None:
+def test_acceptance_scale_raises_the_probability_that_a_gaussian_blocks_a_shadow_ray(
+    rig: ShadowRig, shared: bool
+) -> None:
     """Each Gaussian blocks with the probability min(1, alpha / scale), so the mean is darker by a known amount."""
     pane = stack(0.3, 0.2)
     scene, rays = ls.Scene([pane]), (np.zeros((16, 3)), AHEAD)
@@ -498,7 +502,9 @@ def test_stochastic_shadow_draws_of_coincident_gaussians_are_independent(
 
 
 @SHARED
-def test_stochastic_shadow_samples_of_a_gaussian_are_stratified(rig: ShadowRig, shared: bool) -> None:
+def test_sixteen_stochastic_shadow_samples_estimate_a_gaussians_alpha_to_one_sixteenth(
+    rig: ShadowRig, shared: bool
+) -> None:
     """Sixteen samples of one Gaussian estimate its alpha with an error below one sample."""
     for opacity in (0.1, 0.5, 0.77):
         through = chances(rig, ls.Scene([stack(opacity)]), (np.zeros((1, 3)), AHEAD), 16, shared_draws=shared)[0]
@@ -528,7 +534,7 @@ def test_cpu_and_cuda_schedules_draw_the_same_stochastic_shadows() -> None:
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
 @pytest.mark.parametrize("response", [{}, {"min_response": 0.2}, {"min_response": 0.3, "adaptive_clamping": False}])
-def test_shrunk_bvhs_give_shadow_rays_the_same_hits_as_full_bvhs(
+def test_shadow_rays_have_equal_hits_in_shrunk_and_full_bvhs(
     rig: ShadowRig, degree: int, response: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The hits are equal for any kernel degree and number of instances."""

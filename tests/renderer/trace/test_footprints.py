@@ -58,7 +58,7 @@ def test_fisheye_footprint_of_a_gaussian_is_the_solid_angle_of_a_pixel() -> None
     np.testing.assert_allclose(frame.alpha, expected_alpha(camera, np.sinc(angle / np.pi), 0.3), atol=2e-4)
 
 
-def test_footprint_behind_a_mirror_grows_with_the_length_of_the_whole_path() -> None:
+def test_pixel_footprint_behind_a_mirror_is_that_of_the_camera_mirrored_in_it() -> None:
     """The reflection in a mirror equals the flipped image of a mirrored camera."""
     splats = random_gaussians(61, 200, center=(0.0, 0.0, -2.0), extent=(1.5, 1.0, 0.5), scale_range=(0.002, 0.02))
     mirror = quad(1.0, 3.0, material=MIRROR)
@@ -73,7 +73,7 @@ def test_footprint_behind_a_mirror_grows_with_the_length_of_the_whole_path() -> 
 
 
 @pytest.mark.parametrize("why", ["antialiased", "antialiasing on", "orthographic"])
-def test_frames_without_footprint_ignore_the_dilation_setting(why: str) -> None:
+def test_dilation_setting_does_not_change_frames_in_which_gaussians_are_not_widened(why: str) -> None:
     """The frame equals that without dilation to the bit."""
     gaussians = random_gaussians(62, 200, scale_range=(0.005, 0.05))
     camera, changes = front_camera(48, 32, 40.0), {}
@@ -90,7 +90,7 @@ def test_frames_without_footprint_ignore_the_dilation_setting(why: str) -> None:
         np.testing.assert_array_equal(getattr(frame, image), getattr(thin, image))
 
 
-def test_antialiasing_setting_off_dilates_captures_marked_as_antialiased() -> None:
+def test_antialiasing_set_to_off_dilates_even_captures_marked_as_antialiased() -> None:
     """Captures that are marked as antialiased are dilated, too."""
     plain = random_gaussians(63, 200, scale_range=(0.005, 0.05))
     camera = front_camera(48, 32, 40.0)

@@ -66,7 +66,7 @@ def expected_weights(scene: ls.Scene, camera: ls.Camera) -> tuple[np.ndarray, np
 
 @pytest.mark.parametrize("backend", ["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("k", [4, 16])
-def test_emissive_sets_are_traced_in_order_of_means_and_relit_sets_of_peaks(backend: str, k: int) -> None:
+def test_ray_tracer_sorts_emissive_gaussians_by_means_and_relit_ones_by_peaks(backend: str, k: int) -> None:
     """Ordering all sets by peaks would change the blend weights by more than 0.01."""
     scene, camera = mixed_scene(), small_camera(30, 22, 24.0, near=0.05)
     trace = ls.TraceConfig(hits_per_pass=k, transmittance_min=0.0)

@@ -112,7 +112,7 @@ def test_triangle_hits_beyond_t_max_are_skipped(rig: RayRig) -> None:
     np.testing.assert_array_equal(hits.face >= 0, [False, True, True, False, False])
 
 
-def test_lowest_instance_and_face_of_coinciding_triangles_is_hit(rig: RayRig) -> None:
+def test_ray_hits_the_lowest_instance_and_face_of_coinciding_triangles(rig: RayRig) -> None:
     """The lowest instance wins, then the lowest face."""
     one = quad(2.0)
     twice = ls.Mesh(one.positions, np.concatenate([one.indices, one.indices]))

@@ -123,7 +123,7 @@ POSED = {
 
 
 @pytest.mark.parametrize("kind", POSED)
-def test_ray_gradients_of_the_pose_are_in_camera_axes(kind: str) -> None:
+def test_ray_gradients_of_the_camera_pose_are_in_camera_axes(kind: str) -> None:
     """The camera is rotated and translated together with its rays; the set is transformed."""
     camera, gaussians, transform = POSED[kind], replace(cloud(8, COUNT, degree=2), kernel_degree=3), np.eye(4)
     transform[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -225,7 +225,7 @@ def test_ray_gradients_do_not_depend_on_thread_count() -> None:
         np.testing.assert_array_equal(one.weights, other.weights)
 
 
-def test_ray_gradients_computed_in_ranges_of_rays_have_equal_sums(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sums_of_ray_gradients_are_equal_if_computed_in_several_ranges_of_rays(monkeypatch: pytest.MonkeyPatch) -> None:
     """If the device cannot hold all hits, ranges of rays give the same sums in another order."""
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     whole = gradients_of(scene, camera)
@@ -236,7 +236,7 @@ def test_ray_gradients_computed_in_ranges_of_rays_have_equal_sums(monkeypatch: p
     np.testing.assert_allclose(parts.weights, whole.weights, rtol=1e-5)
 
 
-def test_ray_ranges_of_the_backward_pass_are_whole_warps_within_the_hit_limit() -> None:
+def test_backward_pass_of_rays_is_split_into_whole_warps_within_the_hit_limit() -> None:
     """Ranges contain all hits; a warp with more hits is a range of one warp, and the last warp may be half full."""
     counts = np.zeros(176, np.int32)
     counts[[3, 20, 40, 41, 100, 170]] = 4, 5, 20, 30, 7, 2
@@ -245,7 +245,7 @@ def test_ray_ranges_of_the_backward_pass_are_whole_warps_within_the_hit_limit() 
 
 
 @pytest.mark.parametrize("degree", [2, 3])
-def test_gpu_schedule_gives_equal_ray_gradients(degree: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_and_cpu_schedules_give_equal_ray_gradients(degree: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One ray per thread, run on a CPU, gives the gradients of packets up to the rounding of hits."""
     scene, camera = ls.Scene([replace(cloud(count=60), kernel_degree=degree)]), view(50, 40)
     packets = gradients_of(scene, camera)
@@ -343,7 +343,7 @@ def test_ray_gradients_are_refused_for_lit_stochastic_or_multi_sample_frames() -
         renderer.ray_gradients(scene, np.zeros(3), np.eye(3), np.eye(3)[:2])
 
 
-def test_ray_query_after_a_frame_requires_a_new_frame_before_gradients() -> None:
+def test_gradients_of_a_frame_are_refused_after_a_ray_query_by_the_same_renderer() -> None:
     """The gradients of the frame are no longer available."""
     scene, camera = ls.Scene([cloud()]), view()
     renderer = ls.DifferentiableRenderer(config(), "cpu")

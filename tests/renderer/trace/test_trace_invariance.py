@@ -207,7 +207,7 @@ def discs() -> ls.Scene:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_tracing_in_passes_blends_each_of_150_nearly_coincident_layers_once(
+def test_tracer_blends_each_of_150_nearly_coincident_gaussians_once_in_several_passes(
     backend: str, hit_distance: ls.config.HitDistance
 ) -> None:
     """The discs lie at nearly one distance; none is lost or blended twice, with hit lists of any length."""
@@ -288,7 +288,7 @@ def test_ray_packets_have_the_hits_of_single_rays(
     "hit_distance", [ls.config.HitDistance.PEAK, pytest.param(ls.config.HitDistance.HULL, marks=pytest.mark.deep)]
 )
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_ray_packets_equal_single_rays_to_the_bit_without_fused_operations(
+def test_ray_packets_give_the_bits_of_single_rays_if_no_operations_are_fused(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, normal_method: ls.config.NormalMethod
 ) -> None:
     """Packets apply the operations of a single ray to each lane.
@@ -349,7 +349,7 @@ def test_traced_frame_is_bit_equal_when_rendered_again(backend: str, strategy: l
             assert_equal(other.render(scene, view()), first)
 
 
-def test_seed_changes_only_stochastic_frames(backend: str) -> None:
+def test_seed_changes_stochastic_frames_and_no_others(backend: str) -> None:
     """Stochastic images also differ between pixels and samples."""
     scene = ls.Scene([random_gaussians(78, 200)])
     for strategy in STRATEGIES:
@@ -415,7 +415,7 @@ def test_traced_frame_is_unchanged_if_scene_and_camera_move_together(
     np.testing.assert_allclose(frame.depth[same] / scale, expected.depth[same], rtol=1e-4)
 
 
-def test_near_plane_hides_gaussians_and_meshes_in_front_of_it(backend: str) -> None:
+def test_gaussians_and_meshes_between_eye_and_near_plane_are_invisible(backend: str) -> None:
     """A disc or mesh in front of the near plane changes no bit, and one right behind it is visible."""
     disc = one_gaussian((0.0, 0.0, 3.0), (0.5, 0.5, 1e-3), 0.8)
     rest = random_gaussians(79, 100, center=(0.0, 0.0, 6.0))

@@ -91,7 +91,7 @@ def brightest(case: Case) -> float:
 @devices
 @strategies
 @pytest.mark.parametrize("name", CASES)
-def test_mean_of_stochastic_frames_is_the_expectation(
+def test_mean_of_stochastic_frames_equals_the_expected_value_of_the_oracle(
     name: str, strategy: ls.config.TraceStrategy, device: str
 ) -> None:
     """Colour and alpha are compared per pixel and over all pixels, also in mirrors and glass."""
@@ -138,7 +138,7 @@ def test_noise_of_stochastic_frames_equals_the_predicted_variance(
 @devices
 @strategies
 @pytest.mark.parametrize("name", ["instances", "mesh", "linear, hull"])
-def test_every_stochastic_sample_shows_one_gaussian_one_pass_or_the_background(
+def test_each_stochastic_sample_shows_a_single_gaussian_or_pass_or_the_background(
     name: str, strategy: ls.config.TraceStrategy, device: str
 ) -> None:
     """All images of a sample agree, and each outcome has its expected frequency."""
@@ -182,7 +182,7 @@ def test_every_stochastic_sample_shows_one_gaussian_one_pass_or_the_background(
 
 
 @devices
-def test_acceptance_scale_makes_stochastic_frames_more_opaque_by_a_known_amount(device: str) -> None:
+def test_stochastic_acceptance_scale_raises_the_probability_of_a_hit_to_alpha_over_scale(device: str) -> None:
     """Random numbers are scaled, so that a Gaussian is accepted with the probability alpha / scale."""
     case = random_case("overlapping", HIT, acceptance_scale=0.5)
     twin = TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
@@ -194,7 +194,9 @@ def test_acceptance_scale_makes_stochastic_frames_more_opaque_by_a_known_amount(
 
 
 @pytest.mark.parametrize("strategy", [HIT, PASS], ids=lambda strategy: strategy.value)
-def test_statistics_of_stochastic_frames_reject_wrong_expectations(strategy: ls.config.TraceStrategy) -> None:
+def test_statistical_tests_of_stochastic_frames_reject_slightly_wrong_oracles(
+    strategy: ls.config.TraceStrategy,
+) -> None:
     """Gaussians 5 % fainter, earlier acceptance, or shortened blending would fail."""
     frames, twin = frames_of("passes of 4", strategy, "cpu"), twin_of("passes of 4", strategy)
     case = random_case("passes of 4", strategy)
@@ -234,7 +236,9 @@ def test_all_backends_draw_the_same_random_numbers_for_stochastic_frames(
 
 
 @strategies
-def test_accepted_stochastic_samples_have_the_colours_of_sorted_tracing(strategy: ls.config.TraceStrategy) -> None:
+def test_accepted_pass_of_a_stochastic_sample_has_the_colour_of_sorted_tracing(
+    strategy: ls.config.TraceStrategy,
+) -> None:
     """Nothing is behind the first pass; the colour of the accepted pass is that of sorting, divided by alpha."""
     scene, camera = ls.Scene([copies(12, 173)]), small_camera(8, 6, 8.0)
     config = trace_config(None, strategy=strategy, jitter=False)

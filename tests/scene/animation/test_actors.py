@@ -34,7 +34,7 @@ def test_pose_of_an_actor_is_its_motion_times_its_placement():
     np.testing.assert_array_equal(still.transform, ROTATION)
 
 
-def test_clip_of_an_actor_repeats_or_holds_its_last_pose(rig: ls.avatars.Rig) -> None:
+def test_clip_of_an_actor_repeats_unless_loop_is_off_and_then_holds_its_last_pose(rig: ls.avatars.Rig) -> None:
     """A clip repeats at the actor's speed, or holds its last pose."""
     rigged = ls.bind_gaussians(rig, 300)
 

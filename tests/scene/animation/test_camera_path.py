@@ -24,7 +24,7 @@ KEYS = [look((4, 1, 0)), look((0, 2, 4), fov_y=0.5), look((-4, 1, 1)), look((0, 
 TIMES = [0.0, 1.0, 1.5, 4.0]
 
 
-def test_camera_path_equals_each_key_camera_at_its_time():
+def test_camera_path_passes_through_each_key_camera_at_its_time():
     """A path equals each camera at its time, and stands still before the first and after the last."""
     path = ls.CameraPath(KEYS, TIMES)
     for time, key in zip(TIMES, KEYS, strict=True):
@@ -54,7 +54,7 @@ def test_camera_path_through_evenly_spaced_points_on_a_line_has_constant_speed()
     np.testing.assert_allclose(path.at(1.3).camera_from_world[:3, :3], path.at(0).camera_from_world[:3, :3], atol=1e-9)
 
 
-def test_camera_path_with_targets_keeps_the_target_at_the_image_centre():
+def test_camera_path_through_cameras_with_targets_keeps_targets_at_the_image_centre():
     """The target is centred at all times; without targets, the camera rotates the shorter way."""
     path = ls.CameraPath(KEYS, TIMES, np.zeros((4, 3)))
     for time in np.linspace(0.0, 4.0, 37):
@@ -66,7 +66,7 @@ def test_camera_path_with_targets_keeps_the_target_at_the_image_centre():
     assert forward @ (-middle.eye / np.linalg.norm(middle.eye)) > 0.99
 
 
-def test_stretched_camera_path_has_the_requested_duration():
+def test_camera_path_stretched_to_a_duration_has_that_duration():
     """Frames cover the first to the last time, and a stretched path has the requested duration."""
     path = ls.CameraPath(KEYS, [2.0, 3.0, 4.0, 5.0])
     frames = path.frames(10.0)

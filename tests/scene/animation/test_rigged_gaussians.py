@@ -76,7 +76,7 @@ def test_rigid_motion_of_a_rig_moves_its_gaussians_rigidly(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_stretch_and_shear_of_a_rig_map_the_discs_to_the_exact_ellipses(seed, tmp_path):
+def test_disc_gaussians_of_a_stretched_or_sheared_rig_become_the_exact_ellipses(seed, tmp_path):
     """Under stretch and shear, the wide axes span the mapped ellipse, and the thin axis is perpendicular to it."""
     rng = np.random.default_rng(seed)
     matrix = np.eye(3) + 0.4 * rng.standard_normal((3, 3))
@@ -100,7 +100,7 @@ def face_normals(rigged: ls.RiggedGaussians, time: float | None = None) -> np.nd
     return cross / np.linalg.norm(cross, axis=1, keepdims=True)
 
 
-def test_rigged_gaussians_keep_their_barycentric_coordinates_in_a_pose(tmp_path):
+def test_gaussians_of_a_posed_rig_keep_their_barycentric_coordinates(tmp_path):
     """In a bent pose, each mean is the barycentric mean of the oracle's posed triangle vertices."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
@@ -158,7 +158,7 @@ def test_rigged_gaussians_at_equal_times_have_identical_arrays(tmp_path):
             np.testing.assert_array_equal(values, getattr(second, name), err_msg=name)
 
 
-def test_meshes_of_a_rig_share_the_requested_number_of_gaussians(tmp_path):
+def test_number_of_gaussians_bound_to_a_rig_is_the_total_over_all_its_meshes(tmp_path):
     """A rig with two materials gets exactly the requested Gaussians, each with the colour of its material."""
     gltf = TubeRig(clips={"bend": BEND}).gltf()
     first = gltf.json["meshes"][0]["primitives"][0]

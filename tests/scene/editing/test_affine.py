@@ -55,7 +55,7 @@ def test_sh_colours_rotate_and_mirror_with_the_affine_transform(degree: int) -> 
     np.testing.assert_allclose(turned, seen, atol=2e-6)
 
 
-def test_affine_transform_by_a_similarity_equals_lumisplat_transform() -> None:
+def test_affine_transform_of_a_capture_by_a_similarity_equals_the_function_transform() -> None:
     """A rotation with uniform scale gives the result of `lumisplat.transform`."""
     before = capture(degree=3)
     turn = matrix_of(2.0 * np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]]))

@@ -54,7 +54,7 @@ def test_crop_by_a_box_and_a_sphere_keeps_their_intersection(capture: ls.Gaussia
     assert rows_of(ls.editing.crop(capture, box=box, sphere=(center, radius)), capture) == np.flatnonzero(both).tolist()
 
 
-def test_editing_that_removes_nothing_returns_the_same_capture_object(capture: ls.Gaussians) -> None:
+def test_edit_that_removes_no_gaussian_returns_the_capture_object_itself(capture: ls.Gaussians) -> None:
     """A cut that removes nothing copies nothing."""
     assert ls.editing.crop(capture, sphere=((0, 0, 4), 100.0)) is capture
     assert ls.editing.select(capture, opacity=(0.0, 1.0)) is capture
@@ -82,7 +82,9 @@ def test_editing_that_removes_nothing_returns_the_same_capture_object(capture: l
         ("metallic", lambda g: g.metallic),
     ],
 )
-def test_select_limits_each_property_on_one_side_or_both(capture: ls.Gaussians, name: str, values: Any) -> None:
+def test_select_accepts_for_each_property_a_lower_or_an_upper_limit_or_both(
+    capture: ls.Gaussians, name: str, values: Any
+) -> None:
     """Each value can be limited on one side or both."""
     all_values = values(capture)
     low, high = (float(x) for x in np.quantile(all_values, (0.313, 0.717)))
