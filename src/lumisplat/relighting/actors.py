@@ -27,7 +27,7 @@ from lumisplat.shadow_maps.casters_and_receivers import Content, MeshesAsGaussia
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 
 PlacedActor = SplatInstance | MeshInstance
-"""A moving splat set or mesh with its pose in one frame."""
+"""An actor in one frame: a splat or mesh instance that carries the frame's pose."""
 
 
 def placed_actors(actors: Iterable[PlacedActor | Gaussians | Mesh]) -> list[PlacedActor]:
@@ -214,7 +214,8 @@ class ActorShadows:
         """World position of the local coordinates in which actors' Gaussians are stored as float32, shape (3,)."""
         self._means = [receiver.world_means for receiver in self._receivers]
         self._static = np.ones((len(self._lights), sum(map(len, self._means))), dtype=np.float32)
-        """Transmittance of each of L lights through the static meshes at all N receiving Gaussians, shape (L, N)."""
+        """Transmittance of L lights through the scene's meshes, which do not move, at all N captured Gaussians, shape
+        (L, N)."""
         self._warned_lights: set[int] = set()
         self._warned_of_radius = False
         if meshes:
@@ -238,7 +239,7 @@ class ActorShadows:
         ]
 
     def _transmittances(self, casters: PlacedGaussians) -> FloatArray:
-        """Returns the transmittance of each of L lights through the casters at all N receiving Gaussians, (L, N)."""
+        """Returns the transmittance of L lights through one frame's casters at all N captured Gaussians, (L, N)."""
         self._warn_of_lights_inside(casters)
         # One set for all lights, so that meshes are converted to Gaussians once.
         sh = np.zeros((len(casters.means), 1, 3), dtype=np.float32)

@@ -30,7 +30,8 @@ RANDOM_PAIR_SHARE = 0.25
 have one albedo, and neighbours more often."""
 
 CHROMA_WIDTH = 0.03
-"""Standard deviation of the difference of chromaticity, natural logarithm, between Gaussians with equal albedo."""
+"""Standard deviation of the chromaticity difference, in natural logarithms of channels, that two Gaussians of one
+albedo have."""
 
 EDGE_WIDTHS = (0.2, 0.1)
 """Widths, in natural logarithms of albedo, of the Cauchy weight on the albedo difference of a pair, in the first and
@@ -46,7 +47,7 @@ LIGHT_STEP_MAX = 0.7
 """Largest change of the natural logarithm of a radiance in one Gauss-Newton step; longer steps are shortened."""
 
 LIGHT_CONVERGED = 1e-3
-"""Largest change of any radiance, natural logarithm, at which the Gauss-Newton steps end."""
+"""The Gauss-Newton steps end when no radiance changes by more than this, in natural logarithm."""
 
 ENVIRONMENT_SMOOTHNESS = 3e-3
 """Weight of squared differences between the log radiances of neighbouring environment cells, relative to all pairs of
@@ -66,9 +67,9 @@ class EnvironmentCells:
     """K square cells of the equal-area map of directions (`directions_of_square`), each with constant radiance."""
 
     corners: Doubles
-    """Lower corners of the cells on the map, 0..1, shape (K, 2)."""
+    """Lower corner of each cell in the unit square onto which directions are mapped, shape (K, 2)."""
     sides: Doubles
-    """Side lengths of the cells on the map, shape (K,)."""
+    """Side of each cell in the unit square onto which directions are mapped, shape (K,)."""
 
     @staticmethod
     def even(across: int) -> EnvironmentCells:
@@ -98,7 +99,7 @@ class EnvironmentCells:
         return np.stack([first, second], axis=1)
 
     def of(self, rows: Rows) -> EnvironmentCells:
-        """Returns the cells that the indices ``rows`` select."""
+        """Returns those cells that the indices ``rows`` select, in this order."""
         return EnvironmentCells(self.corners[rows], self.sides[rows])
 
     def joined(self, others: EnvironmentCells) -> EnvironmentCells:
@@ -125,9 +126,9 @@ class Light:
     """Radiances of K environment cells and L emitters, linear, in units of display white."""
 
     environment: Doubles
-    """Radiance of each environment cell, shape (K, 3)."""
+    """Linear radiance of each of K environment cells, in units of display white, shape (K, 3)."""
     emitters: Doubles
-    """Radiance of each emitter in the capture, shape (L, 3)."""
+    """Linear radiance of each of L emitters in the capture, in units of display white, shape (L, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

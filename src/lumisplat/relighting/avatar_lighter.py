@@ -116,7 +116,7 @@ class AvatarLighter:
         """Static scene, with its captured colours, before any shadow of an actor."""
         self._roles = _LightRoles.of(scene, lights)
         self.lights: tuple[Light, ...] | None = self._roles.casting
-        """Lights that cast the shadows of actors; None: not estimated yet."""
+        """Lights whose light actors block from captures: given, of the scene, or estimated; None: not estimated yet."""
         self.estimate: LightEstimate | None = None
         """Local lights found by `estimate_lights`; None if the user or the scene gave lights, none was found, or not
         yet searched."""
@@ -130,7 +130,8 @@ class AvatarLighter:
         self._shadows: ActorShadows | None = None
         """Shadow maps of actors on the captures; None until a frame needs them."""
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
-        """Gaussians of the last frame's actors with their normals, by the Python id of the `Gaussians`."""
+        """Cache of estimated normals of the last frame's actors, by the `Gaussians` object's Python id; it also keeps
+        the object."""
         self._warned_of_darkness = False
 
     def light(
@@ -250,7 +251,7 @@ class AvatarLighter:
         return scale_light_of(actor, transfer.gamma * scales)
 
     def _forget_normals(self, actors: list[PlacedActor]) -> None:
-        """Drops cached normals of Gaussians that are not in the frame."""
+        """Drops cached normals of Gaussians that no actor of this frame has."""
         present = {id(actor.gaussians) for actor in actors if isinstance(actor, SplatInstance)}
         self._normals = {key: held for key, held in self._normals.items() if key in present}
 

@@ -39,7 +39,7 @@ SURFACE_RAYS = 512
 """Number of rays, from outside the capture, that test whether the Gaussians form surfaces."""
 
 HIT_ALPHA_MIN = 0.5
-"""Smallest alpha at which a ray counts as hitting the capture."""
+"""Smallest alpha of a test ray from outside at which it counts as hitting the capture."""
 
 HAZE_AT_ONCE_MAX = 0.6
 """A capture of isotropic Gaussians has no surface if `SurfaceMeasure.at_once` is below this. It is 0.9 to 1 in
@@ -51,8 +51,8 @@ SURFACE_SHARP = 0.8
 Gaussians of meshes and in a fox trained with flatness, and 0.66 to 0.70 in foxes trained without."""
 
 AGREEING_LEAST = 0.35
-"""Mean squared cosine between normals of neighbours below which the normals count as random. It is 0.333 to 0.340 in
-haze, 0.41 to 0.76 in captures of others, 0.5 to 0.9 in foxes trained for some minutes."""
+"""Value of `SurfaceMeasure.agreement` below which normals count as random. It is 0.333 to 0.340 in haze, 0.41 to 0.76
+in captures of others, 0.5 to 0.9 in foxes trained for some minutes."""
 
 AGREEING_COUNT = 300
 """Smallest number of Gaussians whose normals are compared: with fewer, neighbours are far from each other and surfaces
@@ -61,7 +61,7 @@ curve between them."""
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasure:
-    """Measures of how well the Gaussians of a capture form a surface."""
+    """Three measures of whether the Gaussians of a capture form a surface that can be lit, or a haze."""
 
     at_once: float
     """Fraction of a ray's alpha, 0..1, that comes from within a short distance of the ray's depth: median over rays

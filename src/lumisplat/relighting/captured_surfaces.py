@@ -35,8 +35,8 @@ SURFACE_THIN = 0.5
 """A Gaussian's shortest axis is used as its normal if its smallest scale is below this fraction of its middle scale."""
 
 SURFACE_DISC = 1.2
-"""Radius of the circle over which a Gaussian's area is distributed, in standard deviations: about the root mean square
-distance from its centre.
+"""Radius, in standard deviations, of the circle on which a Gaussian's area is sampled to voxelise it: about the root
+mean square distance from its centre.
 """
 
 SURFACE_PER_CELL = 3
@@ -51,7 +51,7 @@ SURFACE_OFFSET = 1.8
 fills."""
 
 SURFACE_STEP = 0.7
-"""Step length along shadow rays, voxels."""
+"""Distance between the points at which shadow rays test for solid voxels, in voxels."""
 
 SURFACE_BLOCK = 4
 """Side, in voxels, of cubic blocks of surfaces whose regression residuals count as correlated, because texture is."""
@@ -85,7 +85,7 @@ class SolidCells:
     """Side of a voxel, scene units."""
 
     def is_free(self, origins: Doubles, directions: Doubles, distances: npt.ArrayLike = np.inf) -> Flags:
-        """Returns whether each of N rays passes no solid voxel, shape (N,).
+        """Returns for each of N rays whether no voxel along it is solid, shape (N,); outside the grid all is free.
 
         Args:
             origins: Origins of the rays, world space, shape (N, 3).
@@ -178,7 +178,7 @@ def captured_surfaces(
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """Grid of cubic voxels."""
+    """Grid of `SURFACE_CELLS`^3 cubic voxels: lower corner and side, without content."""
 
     corner: Doubles
     cell: float
@@ -211,7 +211,8 @@ class _Discs(NamedTuple):
     luminance: Doubles
     """Linear luminance of each Gaussian's colour of SH degree 0, shape (N,)."""
     is_flat: Flags
-    """True for Gaussians thin enough to have a normal, shape (N,)."""
+    """True for Gaussians whose smallest scale is below `SURFACE_THIN` of the middle one: their shortest axis is a
+    normal."""
 
     @classmethod
     def joined(cls, parts: list[_Discs]) -> _Discs:

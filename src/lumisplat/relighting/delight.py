@@ -56,7 +56,7 @@ CLIPPED = 0.985
 """
 
 EMITTERS_MAX = 8
-"""Maximum number of emitters (groups of clipped Gaussians) whose radiance is fitted separately."""
+"""Maximum number of emitters, groups of white Gaussians, whose radiances are fitted; smaller groups are plain white."""
 
 EMITTER_GAP = 4.0
 """Two white Gaussians belong to one emitter if their distance is at most this times the median largest scale of white
@@ -191,8 +191,8 @@ _BRIGHT = tuple(
     for number in range(1, BRIGHT_REFINEMENTS + 1)
 )
 _FIT_S, _HIGHLIGHT_S = 10.0, 1e-3
-"""Expected time of one light fit, and of fitting the highlights of one Gaussian, seconds; measured with 20,000
-Gaussians."""
+"""Expected seconds of one fit of the light's radiances (`_FIT_S`), and of fitting the highlights of one Gaussian
+(`_HIGHLIGHT_S`), for the progress bar; measured with 20,000 Gaussians."""
 _RAYS_PER_S = 5e5
 """Assumed rays per second, for the progress bar, until rays are timed; captures with many layers are 20 times slower.
 """
@@ -222,7 +222,7 @@ class _Delighter:
     pace: StagedProgress
 
     def run(self) -> MaterialEstimate:
-        """Runs all stages and returns the estimate."""
+        """Traces rays, fits light and roughness, and returns the materials and the light."""
         count, may_shine = self.gaussians.count, self.gaussians.sh_degree > 0 and not self.config.matt
         self.pace.plan(_costs(count, self.config, inside=bool(self.config.inside), shines=may_shine))
         self.pace.begin(_SIDES)
@@ -410,7 +410,7 @@ class MaterialEstimate:
     """How narrowly highlights determine each Gaussian's roughness, 0..1, shape (N,). At 0 the roughness is an assumed
     0.8, as in a capture whose colours do not change with the view direction."""
     is_inside: bool
-    """True if the capture was taken from inside, as a room is."""
+    """True if the capture was treated as taken from inside a room, whose light all comes from the capture itself."""
     out_of_range: Flags
     """True for Gaussians whose albedo would exceed 1 in a channel, because they received more light than was
     estimated, shape (N,). Their albedo is scaled by one factor, so that the largest channel is 1 and the hue stays."""

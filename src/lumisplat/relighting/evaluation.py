@@ -58,7 +58,7 @@ class RelightableSet:
     unseen: tuple[str, ...]
     """Names of the lights of subfolder ``relit``, under which no training image was made."""
     specular: float
-    """Strength of the surfaces' specular highlights; 0 if the surfaces are Lambertian."""
+    """Strength of the true surfaces' specular highlights, as `MaterialPbr.specular`; 0: Lambertian."""
 
     @classmethod
     def open(cls, folder: PathLike) -> RelightableSet:
@@ -341,7 +341,7 @@ def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Returns the mean of the values that are not NaN; NaN if there is none."""
+    """Returns the mean of the values that are not NaN; NaN if all are."""
     existing = [value for value in values if not math.isnan(value)]
     return sum(existing) / len(existing) if existing else math.nan
 
@@ -408,7 +408,8 @@ class MaterialEvaluation:
     roughness_rmse: float
     """Root mean square error of perceptual roughness over the compared pixels of all views, 0..1."""
     environment_psnr: float
-    """PSNR of the environment image after scaling by one factor per channel, dB (docs/guide/materials.md#figures)."""
+    """PSNR, dB, of the estimated environment image after scaling by one factor per channel; NaN if it was not compared
+    (docs/guide/materials.md#figures)."""
     relit: Mapping[str, RelitFigures]
     """Image metrics under each unseen light, by the light's name; the albedo is scaled by ``albedo_scale``."""
     views: tuple[MaterialView, ...]
@@ -547,7 +548,7 @@ def with_albedo(gaussians: Gaussians) -> Gaussians:
 
 @dataclass(frozen=True, slots=True)
 class LayerRenderer:
-    """Renders a capture's albedo, normals and roughness, as its lit frames use them."""
+    """Renders images of a capture's albedo, normals and roughness, with the values that lit frames use."""
 
     renderer: Renderer
     unlit: Renderer
@@ -556,7 +557,7 @@ class LayerRenderer:
 
     @classmethod
     def of(cls, gaussians: Gaussians, device: str) -> LayerRenderer:
-        """Creates the renderers for a capture with an albedo."""
+        """Creates a lit renderer for albedo and normals, and an unlit one for roughness; Gaussians need an albedo."""
         lit_config = RenderConfig(
             background=None, lighting=True, shadows=Shadows.OFF, samples=1, aovs=("albedo",), pipeline=Pipeline.RASTER
         )

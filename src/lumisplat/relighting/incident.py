@@ -68,13 +68,13 @@ class Smoother:
 
     @staticmethod
     def of(near: Pairs, normals: Doubles, emitters: Rows) -> Smoother:
-        """Builds the weights from the normals, and from the emitter index of each Gaussian (-1 for none)."""
+        """Computes the weights of pairs ``near`` from N normals, and N emitter indices, -1 for Gaussians of none."""
         weights = np.maximum(np.einsum("ij,ij->i", normals[near.first], normals[near.second]), 0.0) ** NORMAL_SHARPNESS
         weights[(emitters[near.first] >= 0) != (emitters[near.second] >= 0)] = 0.0
         return Smoother(near, weights / np.bincount(near.first, weights, len(normals))[near.first])
 
     def mean(self, values: Values) -> Values:
-        """Averages C values per Gaussian, shape (N, C)."""
+        """Averages values of N Gaussians, C numbers each, over neighbours with similar normals, shape (N, C)."""
         smooth = np.empty_like(values)
         for column in range(values.shape[1]):
             weighted = self.weights * values[self.near.second, column]
@@ -95,7 +95,7 @@ SIDE_ENCLOSED = 0.1
 room."""
 
 OPENNESS_MIN = 0.1
-"""Smallest fraction of rays that escape the capture on a side of a Gaussian for the side to be open. Trained walls let
+"""Smallest fraction of the rays on a Gaussian's side that leave the capture for the side to be open. Trained walls let
 2 to 6 % of the rays through. In captured rooms, 36 to 63 % of the Gaussians have less on both sides; in captured
 objects, at most 0.2 %."""
 

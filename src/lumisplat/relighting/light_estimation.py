@@ -122,7 +122,7 @@ class _Sizes:
     emitter: float
     """Largest size of a light source that counts as compact."""
     separation: float
-    """Smallest distance between two lights."""
+    """Smallest distance between two estimated lights, scene units."""
 
     @classmethod
     def of(cls, settings: LightEstimationConfig, worlds: list[Doubles], center: Doubles) -> _Sizes:

@@ -80,7 +80,7 @@ class EnvironmentProbe:
 
     @property
     def degree(self) -> int:
-        """SH degree, 0 to 8."""
+        """Degree of the probe's SH, 0 to 8."""
         return math.isqrt(self.coefficients.shape[0]) - 1
 
     @classmethod
@@ -360,7 +360,7 @@ def _fit(
 
 
 _PROBES_CACHED = 64
-"""Maximum number of cached probes: more than a scene has actors."""
+"""Maximum number of probes that `ProbeCache` keeps: more than a scene has actors."""
 
 
 class ProbeCache:
@@ -383,7 +383,7 @@ class ProbeCache:
         self._probes: dict[bytes, EnvironmentProbe] = {}
 
     def at(self, center: npt.NDArray[np.float64]) -> EnvironmentProbe:
-        """Returns the probe at a world position, shape (3,), captured now or taken from the cache."""
+        """Returns the probe at a world position, shape (3,): rendered now, or kept from an earlier call."""
         key = center.tobytes()
         if key not in self._probes:
             if self._renderer is None:

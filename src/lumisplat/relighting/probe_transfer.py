@@ -43,12 +43,12 @@ _NO_LIGHT = 1e-12
 
 
 class _Grid(NamedTuple):
-    """Latitude-longitude grid of M directions as a quadrature of the sphere."""
+    """Latitude-longitude grid of M directions, with weights for integrals over the sphere."""
 
     directions: Doubles
-    """Unit directions, shape (M, 3)."""
+    """Unit directions of the M grid cells' centres, shape (M, 3)."""
     weights: Doubles
-    """Quadrature weights, proportional to the sine of the polar angle, summing to 4 pi, shape (M,)."""
+    """Solid angle of each of the M grid cells, sr, summing to 4 pi, shape (M,)."""
 
 
 def relight(
@@ -191,7 +191,7 @@ class SunOnActors:
         return total
 
     def _visibility(self, actor: SplatInstance, sun: LightDirectional) -> float:
-        """Returns the mean transmittance of shadow rays from the actor to a sun, 0..1."""
+        """Returns the mean transmittance, 0..1, of up to `SUN_RAYS` rays from an actor's Gaussians to a sun."""
         if self._renderer is None:
             self._renderer = create_renderer(
                 RenderConfig(pipeline=Pipeline.TRACE), self._device, progress=self._progress

@@ -43,10 +43,11 @@ VIEW_COSINE_LEAST = 0.2
 Gaussians."""
 
 BIN_RINGS = 8
-"""Number of rings of equal solid angle into which incident light is binned."""
+"""Number of rings of equal solid angle, from horizon to zenith, into which the incident light of a hemisphere is
+binned."""
 
 BIN_SECTORS = 20
-"""Number of equal sectors in each ring; bins are 11 degrees wide."""
+"""Number of equal sectors in each ring of bins of incident light; bins are 11 degrees wide."""
 
 BIN_SAMPLES = 4
 """Number of sample directions along each side of a bin of incident light, over which reflection lobes are integrated.
@@ -56,7 +57,8 @@ ALBEDO_STEPS = 4
 """Number of Gauss-Newton steps that fit a Gaussian's albedo for each trial roughness."""
 
 HIGHLIGHT_NOISE = 0.008
-"""Smallest expected error of captured colours, display-referred: 2 of 255."""
+"""Lower bound of the error of captured colours, display values, that is assumed when roughnesses are compared: 2 of
+255."""
 
 SAME_ALBEDO = 0.1
 """Standard deviation, in natural logarithms of albedo, of the weight with which neighbours share fit errors: similar
@@ -68,7 +70,7 @@ SAME_NORMALS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roughness:
-    """Estimated roughness of N Gaussians."""
+    """Estimated roughness of N Gaussians, and how reliable it is."""
 
     value: FloatArray
     """Perceptual roughness of each Gaussian, 0..1, shape (N,); it tends to 0.8 where the confidence is low."""
@@ -94,9 +96,9 @@ class RoughnessFit:
 
     gaussians: Gaussians
     normals: Doubles
-    """Unit normals, shape (N, 3)."""
+    """Unit normals towards the visible side of the N Gaussians, shape (N, 3)."""
     near: Pairs
-    """Pairs of neighbours, in both orders."""
+    """Pairs of neighbouring Gaussians, in both orders and with themselves, over which fit errors are averaged."""
     lobes: Lobes
 
     def fitted(self, arriving: FloatArray, tried: Callable[[int], object] = lambda count: None) -> Roughness:
@@ -241,7 +243,7 @@ def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lobes:
-    """Reflection tables for R roughnesses, M views and Q bins of incident directions, around a normal along z."""
+    """Tables of the light that R roughnesses reflect to M views from Q bins of directions, for a normal along z."""
 
     views: Doubles
     """Unit view directions in the local frame whose z axis is the normal, shape (M, 3)."""
@@ -316,7 +318,7 @@ def bins_of(directions: Doubles) -> Rows:
 
 
 def bin_samples() -> Doubles:
-    """Returns S unit directions evenly spread over each of Q bins, shape (Q, S, 3)."""
+    """Returns S unit directions evenly spread over each of the Q bins of incident light, z up, shape (Q, S, 3)."""
     within = (np.arange(BIN_SAMPLES) + 0.5) / BIN_SAMPLES
     height = (np.arange(BIN_RINGS)[:, None] + within) / BIN_RINGS
     angle = 2.0 * np.pi * (np.arange(BIN_SECTORS)[:, None] + within) / BIN_SECTORS

@@ -21,7 +21,7 @@ from lumisplat.scene.scene import Scene, SplatInstance
 # Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
 SUN_DIRECTIONS = 320
-"""Number of directions of the coarse search for the sun, 11 degrees apart."""
+"""Number of directions over the sphere, 11 degrees apart, that the first search for the sun tests."""
 
 SUN_REFINED = 24
 """Number of directions around the best one that each of the two refinements of the sun's direction tests."""
@@ -62,10 +62,10 @@ SUN_ANNOUNCED_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SunEstimate:
-    """An estimated sun and the evidence for it."""
+    """Direction of the sun of an outdoor capture, and the evidence that it shines."""
 
     light: LightDirectional
-    """Light named ``estimated-sun``, white, of 1 lux: the intensity is not estimated."""
+    """White light of 1 lux named ``estimated-sun``: only its direction is estimated, not the intensity."""
     confidence: float
     """1 minus the ratio of the variance that the best sun over 45 degrees away explains to that of this sun, at most
     1; 0 if both explain the same."""

@@ -61,9 +61,9 @@ class Camera:
     """
 
     width: Annotated[int, Range(1, 65536, "pixels")] = given(converter=_pixel_count)
-    """Image width."""
+    """Width of the whole image, pixels; ``window`` may select a part of it to render."""
     height: Annotated[int, Range(1, 65536, "pixels")] = given(converter=_pixel_count)
-    """Image height."""
+    """Height of the whole image, pixels; ``window`` may select a part of it to render."""
     fx: Annotated[float, Range(0.0, above=True)]
     """Horizontal focal length in pixels; fisheye: pixels per radian; orthographic: pixels per scene unit."""
     fy: Annotated[float, Range(0.0, above=True)]
@@ -79,9 +79,9 @@ class Camera:
     """Near plane: surfaces at a smaller view depth (for a fisheye: distance from the eye) are not drawn. The default
     is halved until it is at most a thousandth of the size of the scene's largest capture or mesh."""
     name: str = ""
-    """Name of the frame; in a camera file, the name of its image."""
+    """Name of the camera and of the frames rendered with it; in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE
-    """Mapping from pixels to rays."""
+    """Projection: pinhole, equidistant fisheye or orthographic."""
     aperture: Annotated[float, Range(0.0, unit="scene units")] = 0.0
     """Radius of the thin lens; 0: everything is in focus. The lens is a disc in the plane through the eye; for a
     fisheye, perpendicular to the ray of each pixel."""
@@ -210,12 +210,12 @@ class Camera:
 
     @property
     def shutter_motion(self) -> Doubles:
-        """Motion of the eye from the start of the first row to the end of the last, world space, shape (3,)."""
+        """Displacement of the eye from the first row's exposure to the last's, world space, (3,); 0: global shutter."""
         return self._world_from_camera_end[:3, 3] - self.eye
 
     @property
     def shutter_rotation(self) -> Doubles:
-        """Rotation of the camera while the image is exposed: axis in world space times angle in radians, shape (3,)."""
+        """Rotation of the camera from the first row's exposure to the last's: world-space axis times radians, (3,)."""
         sine, cosine = self._shutter_sine_cosine()
         length = float(np.linalg.norm(sine))
         return sine * (math.atan2(length, cosine) / length) if length > 0.0 else np.zeros(3)
@@ -322,7 +322,7 @@ def _cuts(name: str, parts: object, size: int) -> list[int]:
 
 
 def camera_pose(eye: Doubles, right: Doubles, forward: Doubles) -> Doubles:
-    """Returns ``camera_from_world``, shape (4, 4), from the eye and two perpendicular world-space unit axes, (3,)."""
+    """Returns ``camera_from_world``, (4, 4), for an eye and unit ``right`` and ``forward`` axes in world space."""
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
     pose[:3, 3] = -pose[:3, :3] @ eye

@@ -55,7 +55,7 @@ def take_scene_fields(item: DataclassInstance, prefix: str = "") -> None:
 
 
 class LinearColor:
-    """Converter to linear Rec.709 colours, from three numbers or one for all channels.
+    """Converter to (red, green, blue), linear Rec.709, from three numbers or from one number for all channels.
 
     Args:
         high: Largest value of a channel.
@@ -85,7 +85,7 @@ class LinearColor:
 
 
 COLOR, UNIT_COLOR = LinearColor(), LinearColor(1.0)
-"""Converter of colours of any non-negative value, and (`UNIT_COLOR`) of colours in 0..1."""
+"""Converters of linear colours with channels of at least 0 (`COLOR`), and of colours in 0..1 (`UNIT_COLOR`)."""
 
 
 def items_of(name: str, values: object) -> Iterable[object]:

@@ -75,7 +75,7 @@ class Gaussians:
     """Exponent of the distance in the kernel that the capture was trained with: 0 is linear, 2 the Gaussian of
     ordinary captures, 5 quintic. Only the ray tracer uses it; the rasteriser draws every capture with degree 2."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
-    """Comments of the file, preserved by conversions."""
+    """Comment lines of the file from which the capture was read; conversions to other files keep them."""
     incident: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
     """Indirect light at each Gaussian when the images were taken, as Relightable 3D Gaussians trains it in addition to
     the environment: SH coefficients of incident linear radiance, shape (N, J, 3) with J = 1, 4, 9 or 16 coefficients
@@ -140,7 +140,7 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """SH degree, 0 to 3."""
+        """Degree of the SH coefficients that the capture stores, 0 to 3."""
         return SH_DEGREE_FROM_COUNT[self.sh.shape[1]]
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:

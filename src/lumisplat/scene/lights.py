@@ -26,10 +26,10 @@ from lumisplat.scene.checks import COLOR, Vector, take_scene_fields
 
 
 def vector(name: str, values: npt.ArrayLike) -> Vector:
-    """Converts three finite numbers to a vector.
+    """Converts ``values`` to three Python floats; ``name`` names the values in the error.
 
     Raises:
-        SceneError: The value is something else.
+        SceneError: The values are not three finite numbers.
     """
     array = float_array(name, values)
     if array.shape != (3,):
@@ -44,7 +44,7 @@ def to_vector(values: npt.ArrayLike, name: str = "vector") -> Vector:
 
 
 def direction_of(name: str, values: npt.ArrayLike) -> Vector:
-    """Normalises a direction.
+    """Converts ``values`` to a unit vector; ``name`` names them in the error.
 
     Raises:
         SceneError: The direction has no length, or is not three finite numbers.
@@ -102,7 +102,7 @@ RIGHT_ANGLE = math.pi / 2.0 + 1e-6
 
 
 def _radiance(values: npt.ArrayLike | None, name: str = "image") -> FloatArray | None:
-    """Converts the image of an environment.
+    """Converts the radiance image of an environment to a float array; None stays None.
 
     Raises:
         SceneError: The image is not a finite, non-negative float array of shape (H, W, 3).
@@ -122,7 +122,7 @@ def _radiance(values: npt.ArrayLike | None, name: str = "image") -> FloatArray |
 
 
 def _unit_quaternion(values: npt.ArrayLike, name: str = "rotation_wxyz") -> tuple[float, float, float, float]:
-    """Normalises a quaternion.
+    """Converts ``values`` to a quaternion of length 1, scalar first.
 
     Raises:
         SceneError: The quaternion is not four finite numbers, or all four are 0.
@@ -152,17 +152,17 @@ class LightPoint:
     aim_keys: ClassVar[tuple[str, ...]] = ()
 
     position: Vector = given(converter=to_vector)
-    """World position."""
+    """World position of the light's centre, scene units, shape (3,)."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd")] = 1.0
-    """Luminous intensity."""
+    """Luminous intensity, candela, equal in all directions; channels are ``color`` times this."""
     range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
     """Distance beyond which the light has no effect."""
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
     """Radius of the light for soft shadows; 0: hard shadows."""
     enabled: bool = field(default=True, kw_only=True)
-    """Let the light shine."""
+    """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether objects block the light; False: it shines through everything."""
     name: str = field(default="", kw_only=True)
@@ -194,7 +194,7 @@ class LightSpot:
     aim_keys: ClassVar[tuple[str, ...]] = ("target",)
 
     position: Vector = given(converter=to_vector)
-    """World position."""
+    """World position of the cone's apex, scene units, shape (3,)."""
     direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """Axis of the cone, any length; normalised. Required unless there is a ``target``."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
@@ -210,7 +210,7 @@ class LightSpot:
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
     """Radius of the light for soft shadows; 0: hard shadows."""
     enabled: bool = field(default=True, kw_only=True)
-    """Let the light shine."""
+    """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether objects block the light; False: it shines through everything."""
     name: str = field(default="", kw_only=True)
@@ -262,14 +262,14 @@ class LightDirectional:
     angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
     """Angular radius of the light for soft shadows; the sun's is 0.27 degrees (0.0047)."""
     enabled: bool = field(default=True, kw_only=True)
-    """Let the light shine."""
+    """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether objects block the light; False: it shines through everything."""
     shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
         default=math.inf, kw_only=True
     )
-    """Largest distance from a surface at which objects cast shadows on it. A finite value lets light pass the
-    Gaussians of a captured sky."""
+    """Largest distance from a surface at which objects still block the light; inf: all do. A finite value lets the
+    light pass the Gaussians of a captured sky."""
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
@@ -302,7 +302,7 @@ class LightSphere:
     aim_keys: ClassVar[tuple[str, ...]] = ()
 
     position: Vector = given(converter=to_vector)
-    """World position."""
+    """World position of the sphere's centre, scene units, shape (3,)."""
     radius: Annotated[float, Range(0.0, unit="scene units", above=True)]
     """Radius of the sphere."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
@@ -310,12 +310,12 @@ class LightSphere:
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
-    """Let the light shine."""
+    """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether objects block the light; False: it shines through everything."""
     visible: bool = field(default=True, kw_only=True)
-    """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
-    light.
+    """Whether the path pipeline shows the sphere to the camera and in reflections. Area lights never shadow other
+    lights.
     """
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
@@ -354,29 +354,31 @@ class LightRect:
     aim_keys: ClassVar[tuple[str, ...]] = ("target", "size")
 
     position: Vector = given(converter=to_vector)
-    """Centre of the rectangle."""
+    """World position of the rectangle's centre, scene units, shape (3,)."""
     edge_u: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
-    """First edge, scene units. Both edges are required unless there is a ``target``."""
+    """First edge of the rectangle as a world-space vector, scene units. Both edges are required unless there is a
+    ``target``."""
     edge_v: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
-    """Second edge. The light shines to the side of ``cross(edge_u, edge_v)``."""
+    """Second edge as a world-space vector, scene units. The light shines to the side of ``cross(edge_u, edge_v)``."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
-    """Let the light shine."""
+    """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether objects block the light; False: it shines through everything."""
     visible: bool = field(default=True, kw_only=True)
-    """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
-    light.
+    """Whether the path pipeline shows the light to the camera and in reflections. Area lights never shadow other
+    lights.
     """
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """Point that the light faces, world position, shape (3,); with ``size``, replaces the edges."""
     size: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """Width (the horizontal edge, with y as the vertical) and height with ``target``, scene units, shape (2,)."""
+    """Width and height, scene units, shape (2,), of a rectangle given by ``target``. The edge along the width is
+    horizontal, with y as the vertical."""
 
     def __post_init__(self, target: npt.ArrayLike | None, size: npt.ArrayLike | None) -> None:
         take_scene_fields(self)
@@ -417,7 +419,12 @@ class LightRect:
         return _flat_candela(self, offsets)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns the distances at which N rays hit the emitting side, scene units, shape (N,); inf for misses."""
+        """Returns the distances at which N rays hit the emitting side, scene units, shape (N,); inf for misses.
+
+        Args:
+            origins: Ray origins, world space, shape (N, 3).
+            directions: Unit ray directions, shape (N, 3).
+        """
         return _flat_distances(self, origins, directions)
 
 
@@ -435,7 +442,7 @@ class LightDisk:
     aim_keys: ClassVar[tuple[str, ...]] = ("target",)
 
     position: Vector = given(converter=to_vector)
-    """Centre of the disk."""
+    """World position of the disk's centre, scene units, shape (3,)."""
     direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
     """Normal of the emitting side, any length; normalised. Required unless there is a ``target``."""
     radius: Annotated[float, Range(0.0, unit="scene units", above=True)] = 0.5
@@ -445,12 +452,12 @@ class LightDisk:
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
     """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
-    """Let the light shine."""
+    """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether objects block the light; False: it shines through everything."""
     visible: bool = field(default=True, kw_only=True)
-    """Show the light in the path pipeline, to the camera and in reflections. An area light never shadows another
-    light.
+    """Whether the path pipeline shows the disk to the camera and in reflections. Area lights never shadow other
+    lights.
     """
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
@@ -490,7 +497,12 @@ class LightDisk:
         return _flat_candela(self, offsets)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns the distances at which N rays hit the emitting side, scene units, shape (N,); inf for misses."""
+        """Returns the distances at which N rays hit the emitting side, scene units, shape (N,); inf for misses.
+
+        Args:
+            origins: Ray origins, world space, shape (N, 3).
+            directions: Unit ray directions, shape (N, 3).
+        """
         return _flat_distances(self, origins, directions)
 
 
@@ -515,21 +527,21 @@ class LightEnvironment:
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="x image")] = 1.0
-    """Factor applied to the image's radiance."""
+    """Factor that, with ``color``, multiplies the image's radiance, or the radiance 1 without an image."""
     rotation_wxyz: tuple[float, float, float, float] = given(converter=_unit_quaternion, default=(1.0, 0.0, 0.0, 0.0))
     """World-from-environment rotation, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), 180 degrees
     about x."""
     visible: bool = True
     """Show the environment as the background of frames; mirrors reflect it whether it is visible or not."""
     enabled: bool = field(default=True, kw_only=True)
-    """Let the light shine."""
+    """Whether the environment lights the scene and may be its background; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether objects block the light; False: it shines through everything."""
     shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
         default=math.inf, kw_only=True
     )
-    """Largest distance from a surface at which objects cast shadows on it. A finite value lets light pass the
-    Gaussians of a captured sky."""
+    """Largest distance from a surface at which objects still block the light; inf: all do. A finite value lets the
+    light pass the Gaussians of a captured sky."""
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
 
@@ -547,7 +559,7 @@ AimedLight = LightSpot | LightDirectional | LightDisk
 PlacedLight = LightPoint | LightSpot | LightSphere | LightRect | LightDisk
 """Lights with a position."""
 Light = PlacedLight | LightDirectional | LightEnvironment
-"""Any light."""
+"""Any light class."""
 LIGHT_KINDS: dict[str, type[PlacedLight | LightDirectional]] = {
     one.kind: one for one in (LightPoint, LightSpot, LightDirectional, LightSphere, LightRect, LightDisk)
 }

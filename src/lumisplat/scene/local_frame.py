@@ -88,11 +88,11 @@ class LocalFrame:
 
     @property
     def is_world(self) -> bool:
-        """True if local and world coordinates are the same."""
+        """True if the origin is zero and the unit 1, so that local and world coordinates are the same."""
         return self.unit == 1.0 and not self.origin.any()
 
     def points(self, points: npt.NDArray[np.floating]) -> Doubles:
-        """Converts world positions to local coordinates, shape (N, 3)."""
+        """Converts N world positions to local coordinates, ``(p - origin) / unit``, shape (N, 3)."""
         return (np.asarray(points, np.float64) - self.origin) / self.unit
 
     def camera(self, camera: Camera) -> Camera:
@@ -270,7 +270,7 @@ def _boxes(scene: Scene) -> tuple[Doubles, Doubles]:
 
 
 ZERO: Doubles = np.zeros(3)
-"""Origin of world coordinates."""
+"""The origin of world coordinates, (0, 0, 0)."""
 
 _STRAYS = 0.01
 """Fraction of a caster's Gaussians that its bounding box ignores at each end of each axis, as outliers."""
@@ -301,9 +301,9 @@ class PlacedGaussians(NamedTuple):
     rotations_wxyz: FloatArray
     """World-from-Gaussian unit quaternions, shape (N, 4)."""
     scales: FloatArray
-    """Standard deviations, shape (N, 3)."""
+    """Standard deviations along the Gaussians' axes in world space, scene units, shape (N, 3)."""
     opacities: FloatArray
-    """Opacities 0..1, shape (N,)."""
+    """Opacity at the centre of each Gaussian, 0..1, shape (N,)."""
 
     @property
     def rotations_xyzw(self) -> FloatArray:

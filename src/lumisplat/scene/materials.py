@@ -37,9 +37,9 @@ class TextureWrap(Enum):
 
 
 WrapPair = tuple[TextureWrap, TextureWrap]
-"""Wrap modes along u and v."""
+"""Wrap modes of one texture along u and v."""
 Wraps = Mapping[str, WrapPair]
-"""Wrap modes of several textures, by field name."""
+"""Wrap modes along u and v by the name of the material's texture field."""
 WrapsLike = Mapping[str, TextureWrap | str | Sequence[TextureWrap | str]]
 """Input that `checked_wraps` converts to `Wraps`: a mode may be given by value, and one mode may stand for both axes.
 """
@@ -60,7 +60,7 @@ def to_texture(value: npt.ArrayLike | None, name: str = "texture") -> Texture | 
 
 
 def checked_wraps(given: WrapsLike | None, known: Sequence[str]) -> Wraps | None:
-    """Converts the wrap modes of a material's textures to pairs; None stays None.
+    """Converts a user's wrap modes of textures to pairs (along u, along v) by texture name; None stays None.
 
     Args:
         given: Wrap modes from the user, by texture name.
@@ -120,7 +120,8 @@ class MaterialPbr:
     roughness: Share = 0.5
     """Perceptual roughness; exactly 0 is smooth. The roughness of splats is at least 0.03."""
     specular: Share = 1.0
-    """Strength of the dielectric reflection."""
+    """Strength of the dielectric's specular reflection (KHR_materials_specular): 1 is full Fresnel reflection, 0 none.
+    """
     ior: Annotated[float, Range(1.0)] = 1.5
     """Index of refraction; with 1, light is neither reflected nor bent."""
     transmission: Share = 0.0
@@ -129,8 +130,8 @@ class MaterialPbr:
     from leaving. Splats, and rough meshes outside `Pipeline.PATH`, scatter the fraction back instead of refracting it.
     """
     thin_walled: bool = False
-    """Treat the mesh as a wall without an inside: light passes straight through, and the volume settings have no
-    effect."""
+    """Treat the mesh as a thin wall without an inside: refracted light passes straight through. The settings of the
+    volume inside, attenuation and ``priority``, have no effect."""
     attenuation_color: Color = given(converter=UNIT_COLOR, default=(1.0, 1.0, 1.0))
     """Linear colour of white light after ``attenuation_distance`` inside the volume."""
     attenuation_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
@@ -159,7 +160,7 @@ class MaterialPbr:
     normal_texture: Texture | None = given(converter=to_texture, default=None)
     """Tangent-space normals ``2 c - 1``: x along u, y against v, z away from the surface."""
     normal_scale: Annotated[float, Range()] = 1.0
-    """Factor of x and y of the normal texture."""
+    """Factor on x and y of the normal texture's normals: 0 flattens them, 1 leaves them unchanged."""
     occlusion_texture: Texture | None = given(converter=to_texture, default=None)
     """Red channel: fraction of the environment's light that reaches the surface (glTF's ambient occlusion), linear."""
     occlusion_strength: Share = 1.0
@@ -215,7 +216,7 @@ class MaterialPbr:
 
     @property
     def blends(self) -> bool:
-        """True if a mesh with this material is partly transparent by its alpha."""
+        """True if ``alpha_mode`` is BLEND, in which the background shows through a mesh where alpha is below 1."""
         return self.alpha_mode is AlphaMode.BLEND
 
     @property
@@ -245,15 +246,16 @@ class MaterialSimple:
     specular: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))
     """Reflectance of the highlight around the mirror direction."""
     shininess: Annotated[float, Range(0.0, 1e4)] = 32.0
-    """Exponent of the highlight: higher is sharper."""
+    """Exponent of the Phong highlight: the higher, the smaller and sharper the highlight."""
     base_color: Color = given(converter=UNIT_COLOR, default=(1.0, 1.0, 1.0))
-    """Linear Rec.709 base colour."""
+    """Linear Rec.709 base colour of a mesh, multiplied by texture and vertex colour; splat sets ignore it."""
     base_color_texture: Texture | None = given(converter=to_texture, default=None)
-    """sRGB-encoded texels, as in `MaterialPbr`."""
+    """sRGB-encoded texels of the base colour, shape (H, W, 3 or 4), row 0 at v = 0 (top); the fourth channel is alpha.
+    """
     wrap_u: TextureWrap = TextureWrap.REPEAT
-    """Wrap mode of the texture along u, as in `MaterialPbr`."""
+    """Wrap mode of the base colour texture along u: a `TextureWrap` or its value, such as ``"clamp"``."""
     wrap_v: TextureWrap = TextureWrap.REPEAT
-    """Wrap mode of the texture along v."""
+    """Wrap mode of the base colour texture along v: a `TextureWrap` or its value, such as ``"clamp"``."""
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
     """How meshes use alpha: ignore it (OPAQUE), cut out (MASK) or blend with the background (BLEND)."""
     alpha: Share = 1.0
@@ -277,21 +279,21 @@ class MaterialSimple:
 
     @property
     def blends(self) -> bool:
-        """True if a mesh with this material is partly transparent by its alpha."""
+        """True if ``alpha_mode`` is BLEND, in which the background shows through a mesh where alpha is below 1."""
         return self.alpha_mode is AlphaMode.BLEND
 
     @property
     def sends_rays_on(self) -> bool:
-        """True if rays continue through the mesh's transparent alpha."""
+        """True if ``alpha_mode`` is BLEND, in which rays continue through a mesh where alpha is below 1."""
         return self.blends
 
 
 Material = MaterialPbr | MaterialSimple
-"""Any material."""
+"""Any material class."""
 
 
 def texture_names(material: Material) -> list[str]:
-    """Returns the names of the material's texture fields, including empty ones."""
+    """Returns the names of all texture fields that the material's class has, including those that are None."""
     return [field.name for field in fields(material) if field.name.endswith("_texture")]
 
 

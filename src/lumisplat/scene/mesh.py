@@ -134,7 +134,7 @@ class TriangleCheck(NamedTuple):
     usable: npt.NDArray[np.bool_]
     """True for each usable triangle, shape (F,)."""
     out_of_range: int
-    """Number of triangles with an index that is no vertex."""
+    """Number of triangles with an index that is negative or not below the number of vertices."""
     without_area: int
     """Number of triangles whose corners coincide or are collinear."""
 

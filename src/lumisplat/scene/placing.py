@@ -39,12 +39,12 @@ along +z, glTF files (y-up) along -z."""
 
 
 def up_vector_or_none(up: str | npt.ArrayLike | None, name: str = "up") -> Vector | None:
-    """Converts the name of an axis or a direction to a unit up vector; None stays None."""
+    """Returns the unit up vector for an axis name such as ``"y-down"``, or for a direction; None stays None."""
     return None if up is None else up_vector(up)
 
 
 def up_vector(up: str | npt.ArrayLike) -> Vector:
-    """Returns a unit up vector from the name of an axis, or from a direction of any length, shape (3,).
+    """Returns the unit up vector for an axis name such as ``"y-down"``, or for a direction of any length, (3,).
 
     Raises:
         SceneError: The value is neither the name of an axis nor a direction.
@@ -128,8 +128,8 @@ class PlacedInstance:
     look_at: InitVar[npt.ArrayLike | None] = None
     """World position towards which the object's front is turned; None: the front of the scene for ``up``."""
     front: InitVar[str | None] = None
-    """Axis that is the object's front, with ``up`` or ``look_at``: ``"+z"`` (the default, as in glTF), ``"-z"``,
-    ``"+x"`` or ``"-x"``."""
+    """Axis of the object that faces the front of the scene, or ``look_at``: ``"+z"`` (the default, as in glTF),
+    ``"-z"``, ``"+x"`` or ``"-x"``. Needs ``up`` or ``look_at``."""
 
     @property
     def transform(self) -> Doubles:

@@ -73,7 +73,7 @@ class SplatInstance(PlacedInstance):
 
     @property
     def world_means(self) -> npt.NDArray[np.float64]:
-        """Means in world space, shape (N, 3)."""
+        """World-space centres of the instance's N Gaussians, float64, shape (N, 3)."""
         return transform_points(self.transform, self.gaussians.means)
 
     def bounds(self) -> Bounds:
@@ -83,7 +83,7 @@ class SplatInstance(PlacedInstance):
 
     @property
     def scale(self) -> float:
-        """Uniform scale factor of the transform."""
+        """Uniform scale factor that ``world_from_object`` contains."""
         return float(np.cbrt(np.linalg.det(self.transform[:3, :3])))
 
 
@@ -261,7 +261,7 @@ class Scene:
         return np.min(lows, axis=0), np.max(highs, axis=0)
 
     def bulk_bounds(self) -> Bounds:
-        """Returns the corners (min, max) of a world-space box around meshes and the bulk of captures, shape (3,) each.
+        """Returns the world-space corners (min, max) of a box around meshes, and captures less outliers, (3,) each.
 
         Stray Gaussians are ignored: 2 % of a capture's opacity is left out at each end of each axis.
 
@@ -295,7 +295,13 @@ def _bulk(instance: SplatInstance) -> Bounds:
 
 
 def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray, tail: float = BULK_TAIL) -> tuple[float, float]:
-    """Returns the weighted quantiles ``tail`` and 1 - ``tail`` of N heights with N weights."""
+    """Returns the heights below and above which Gaussians with the fraction ``tail`` of all weights lie.
+
+    Args:
+        heights: Height of each Gaussian, in any direction, shape (N,).
+        weights: Weight of each Gaussian, such as its opacity, shape (N,).
+        tail: Fraction of the summed weights, 0..0.5.
+    """
     low = float(heights.min())
     extent = float(heights.max()) - low
     # Binning avoids sorting millions of heights: only two bins are sorted.

@@ -28,7 +28,7 @@ CLIPPED_ABOVE = 0.995
 """Display value from which a pixel may be clipped: 254 of 255."""
 
 _ASPECT_ERROR = 0.51
-"""Largest difference between the height of an image and the height that the camera's aspect ratio gives, pixels."""
+"""Largest difference, pixels, between an image's height and its width divided by the camera's aspect ratio."""
 _WHOLE = 1.0 - 1e-4
 """Smallest fraction of a downscaled pixel's area that fitted pixels must cover for it to be fitted: 1, less a
 tolerance for rounding."""
@@ -41,11 +41,11 @@ class FitImage:
     camera: Camera
     """Camera of the image, scaled to the image's width and height."""
     light: Doubles
-    """Linear Rec.709 radiance times exposure, shape (H, W, 3)."""
+    """Linear Rec.709 light of the image, radiance times the exposure factor, shape (H, W, 3)."""
     counts: Flags
-    """True for the channels of pixels that are fitted, shape (H, W, 3)."""
+    """True for each channel of each pixel that is fitted: neither clipped nor masked, shape (H, W, 3)."""
     label: str
-    """Name of the image in messages."""
+    """Name of the image in error messages and remarks."""
     clipped: int
     """Number of pixels that are not fitted because a channel is black (0) or white (above `CLIPPED_ABOVE`)."""
     masked: int
@@ -192,7 +192,7 @@ def _camera_of_size(label: str, camera: Camera, width: int, height: int) -> Came
 
 
 def _mask(label: str, mask: Any, size: tuple[int, ...]) -> Flags:
-    """Returns a mask of the pixels that a user's mask selects, shape (H, W).
+    """Returns a mask, (H, W), of the pixels in which the user's mask image is at least half white.
 
     Raises:
         SceneError: The mask has another size than its image.
@@ -236,7 +236,7 @@ Layer = Callable[[Scene, Frame], Doubles]
 _Instances = tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]]
 _PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
 _DISABLED_LIGHT = LightPoint((0.0, 0.0, 0.0), enabled=False)
-"""Disabled light for scenes without lights, so that the renderer adds no headlight."""
+"""Disabled light given to scenes without lights: with it the renderer adds no headlight."""
 _UNLIT_WEIGHT_MAX = 1e-3
 """Largest fraction of a pixel that unlit captures and background may cover if the pixel is fitted."""
 
@@ -308,7 +308,7 @@ class LightLayers:
         return self._both(lit, images, self._all_light) - fixed
 
     def _both(self, scene: Scene, images: Sequence[FitImage], layer: Layer) -> Doubles:
-        """Renders a layer with two seeds, shape (2, N, 3); a deterministic render is made once and repeated."""
+        """Renders a layer of all images with two seeds, (2, N, 3); a deterministic render is made once, and copied."""
         first = self._frames(0, scene, images)
         rows = self._rows(scene, first, layer)
         second = rows
@@ -327,7 +327,7 @@ class LightLayers:
         return [self._renderers[seed_index].render(scene, replace(item.camera, exposure=0.0)) for item in images]
 
     def _all_light(self, scene: Scene, frame: Frame) -> Doubles:
-        """Returns the radiance of a frame under all its lights, with indirect light averaged over surfaces."""
+        """Returns a frame's radiance due to all its lights, (H, W, 3), with indirect light averaged over surfaces."""
         light = np.asarray(frame.light, np.float64)
         if not self.is_path:
             return light
@@ -337,7 +337,7 @@ class LightLayers:
         return first + self._averaged(scene, frame, light - first)
 
     def _single_light(self, scene: Scene, frame: Frame) -> Doubles:
-        """Returns the radiance due to the first light of a frame, with the indirect radiance averaged over surfaces."""
+        """Returns a frame's radiance due to its first light, (H, W, 3), with indirect light averaged over surfaces."""
         assert frame.light_total is not None and frame.light_direct is not None and frame.light_shadow is not None
         first = np.asarray(frame.light_direct[0] * frame.light_shadow[0], np.float64)
         return first + self._averaged(scene, frame, frame.light_total[0] - first)
@@ -389,7 +389,7 @@ class SurfaceAverage:
 
     @classmethod
     def of(cls, scene: Scene, frame: Frame) -> SurfaceAverage:
-        """Builds the windows from a frame's albedo, positions, normals and instances."""
+        """Finds each pixel's neighbours on the same surface, from a frame's positions, normals and instance indices."""
         assert frame.albedo is not None
         radius = max(1, round(SMOOTH_REACH * max(frame.camera.width, frame.camera.height)))
         reach = range(-radius, radius + 1)

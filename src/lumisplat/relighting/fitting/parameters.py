@@ -23,10 +23,10 @@ FIT_DEGREE_MAX = 4
 Hanrahan 2001)."""
 
 POSITION_STEP = 0.004
-"""Step of the central differences by a light's position, relative to the size of the scene."""
+"""Step to either side, relative to the scene's size, in central differences of renders by a light's position."""
 
 ANGLE_STEP = 0.02
-"""Step of the central differences by directions and cone angles, radians."""
+"""Step to either side, radians, in central differences of renders by a light's direction or cone angles."""
 
 Kind = Literal["position", "direction", "radius", "inner", "outer"]
 _ANGLE_GAP = 1e-3
@@ -40,7 +40,7 @@ class LightParameter:
     """One scalar of one light that Gauss-Newton searches: a coordinate, a tilt of the direction, a radius, an angle."""
 
     light: int
-    """Index of the light in the scene."""
+    """Index, in the scene's lights, of the light that has the parameter."""
     kind: Kind
     axis: int = 0
     """For a position 0, 1, 2: x, y, z; for a direction 0 or 1: which of its two tangents; else 0."""
@@ -118,7 +118,7 @@ class BaseColor:
     meshes: tuple[int, ...] = ()
     """Indices of the scene's mesh instances with this material; empty for a capture."""
     capture: int | None = None
-    """Index of the splat instance; None for a material of meshes."""
+    """Index of the scene's splat instance; None if the base colour is that of a material of meshes."""
     given: Gaussians | None = None
     """Gaussians of the capture before the fit, to which factors apply; None for a material of meshes."""
 
@@ -240,11 +240,11 @@ class FitTask:
     """The unknowns of a light fit, and the scene and exposures from which the fit starts."""
 
     scene: Scene
-    """Scene at the start; an environment that the SH environment replaces is left out."""
+    """Scene from which the fit starts, without an environment that the SH environment replaces."""
     lights: tuple[int, ...]
     """Indices in the scene of the lights that are fitted: all that are enabled."""
     degree: int | None
-    """Degree of the SH environment; None if no SH environment is fitted."""
+    """Degree of the SH environment that is fitted; None: no SH environment."""
     scales: bool
     """True if intensities and colours of lights are fitted; False: they keep those of the scene."""
     keeps_hues: bool
@@ -260,7 +260,7 @@ class FitTask:
     gains: Doubles
     """Factors ``2^exposure`` of the V images before the fit, shape (V,)."""
     size: float
-    """Size of the scene, scene units: the longest side of its bounding box."""
+    """Size of the scene, scene units: longest side of its box without stray Gaussians."""
     low: Doubles
     """Lower corner, world space, of the box in which lights may move: the scene's bulk, extended to the given lights.
     """

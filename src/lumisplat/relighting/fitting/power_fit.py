@@ -54,7 +54,8 @@ class Observed:
     target: Doubles
     """Linear Rec.709 light of the images' pixels, shape (N, 3)."""
     counts: Flags
-    """True for the channels of pixels that are fitted, shape (N, 3)."""
+    """True for each channel of each pixel that is fitted: not clipped, not masked, and showing surfaces that reflect
+    light, shape (N, 3)."""
     noise: Doubles
     """Expected standard error of each pixel's linear light, by which residuals are divided, shape (N, 3)."""
     blocks: Rows
@@ -76,11 +77,12 @@ class Columns:
     """For each of the K renders: the light's held colour, shape (3,), which one unknown scales; None: one unknown per
     channel."""
     bounded: Doubles
-    """Matrix of the R inequality constraints ``bounded @ x >= least`` on the unknowns x, shape (R, U)."""
+    """Matrix of R constraints ``bounded @ x >= least`` on the U unknowns x: powers and environment are not negative,
+    (R, U)."""
     least: Doubles
     """Right side of the constraints ``bounded @ x >= least``, shape (R,)."""
     ridge: Doubles = field(default_factory=lambda: np.zeros(0))
-    """Ridge of each unknown, relative to the diagonal of the normal equations, shape (U,); empty: no ridge."""
+    """Ridge added to each unknown's diagonal entry of the normal equations, relative to it, shape (U,); empty: none."""
 
     @property
     def spread(self) -> Doubles:
@@ -102,7 +104,7 @@ class Solution:
     """Result of a robust fit: the U unknowns with the smallest loss, and the modelled light of N pixels."""
 
     unknowns: Doubles
-    """Values of the unknowns, shape (U,)."""
+    """Fitted values of the U unknowns: light powers, then SH coefficients of the environment, shape (U,)."""
     model: Doubles
     """Linear light that the fitted unknowns give at the N pixels, shape (N, 3)."""
     weights: Doubles
@@ -284,7 +286,8 @@ NOISE_BLUR = 2
 darkened would get larger weights."""
 
 ENVIRONMENT_ROWS = 32
-"""Height, in pixels, of the images of SH environments: of the basis functions and of the fitted environment."""
+"""Height, pixels, of latitude-longitude images of the SH environment: of single basis functions and of the fitted
+light."""
 
 ENVIRONMENT_DIRECTIONS = 96
 """Number of evenly spread directions in which the SH environment must not be negative."""
@@ -334,7 +337,7 @@ class Candidate:
 
     @property
     def lit_scene(self) -> Scene:
-        """The scene with the fitted powers, and the SH environment as its last light."""
+        """The candidate's scene with the fitted powers; an SH environment is appended as the last light."""
         lights = list(self.scene.lights)
         for number, power in self.powers.items():
             lights[number] = with_power(lights[number], power)
@@ -453,7 +456,10 @@ def _differs_only_in_lights(scene: Scene, other: Scene) -> bool:
 
 
 def _expected_noise(image: FitImage) -> Doubles:
-    """Returns the expected error of an image's linear light, computed from blurred pixels, shape (H, W, 3)."""
+    """Returns the expected error of an image's linear light, shape (H, W, 3): model error plus one 8-bit step.
+
+    It is computed from blurred pixels, so that pixels that noise darkened do not get larger weights.
+    """
     light = _blurred(image.light)
     step = 1.0 / (255.0 * _encoding_slope(light))
     return RELATIVE_NOISE * (light + light.mean()) + step
@@ -489,7 +495,7 @@ def _blocks(images: Sequence[FitImage]) -> Rows:
 
 
 ENVIRONMENT_NAME = "environment"
-"""Name of the fitted environment."""
+"""Name of the fitted SH environment light, and of its unknowns in messages."""
 
 
 def render_sh_lights(degree: int, render_light: Callable[[Light], Doubles]) -> Doubles:

@@ -53,7 +53,7 @@ class LightFit:
     """Result of `fit_lights`: L fitted lights, base colours and exposures, with standard errors and residuals."""
 
     scene: Scene
-    """The scene with the fitted lights and base colours."""
+    """The caller's scene with the fitted lights, and the fitted base colours of meshes and captures."""
     lights: tuple[Light, ...]
     """The L fitted lights in the scene's order; last the SH environment, if its light was found in the images."""
     shares: Doubles
@@ -131,7 +131,7 @@ def _has_environment(candidate: Candidate, shares: Doubles, certainty: Certainty
 
 
 def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
-    """Pairs each image with the model that the candidate gives of it."""
+    """Returns for each image the `FittedView`: the image, the candidate's model of it, weights and residual."""
     views: list[FittedView] = []
     solution, observed = candidate.solution, fitter.observed
     shares = solution.weights * observed.noise**2
@@ -169,7 +169,7 @@ explain them."""
 _WHITE = 0.01
 """Fraction of a capture's Gaussians that the fit made white, above which a remark reports it."""
 _OFF_BELOW = 1e-6
-"""Power, relative to the brightest light, below which a remark reports that a light is off."""
+"""Largest power of a light, relative to the brightest light's, at which a remark reports that the fit turned it off."""
 
 
 def _remarks_of(
@@ -227,7 +227,7 @@ def _base_color_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[s
 def _light_remarks(
     fitter: PowerFitter, candidate: Candidate, certainty: Certainty, *, has_environment: bool
 ) -> Iterator[str]:
-    """Yields remarks on lights that could not be estimated, are off, or cannot be distinguished."""
+    """Yields a sentence for each light that does not appear in images, is off, or cannot be told from others."""
     for number in certainty.dark:
         yield f"{light_name(candidate, number)}: none of its light appears in the images, so it is unchanged"
     for number, power in candidate.powers.items():
@@ -255,7 +255,7 @@ def _brightest(candidate: Candidate) -> float:
 
 
 def _image_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
-    """Yields remarks on pixels that were clipped, masked or not explained."""
+    """Yields a sentence for each image with many clipped pixels, without fitted pixels, or not explained."""
     weights = candidate.solution.weights * fitter.observed.noise**2
     for number, image in enumerate(fitter.images):
         in_image = fitter.view == number
@@ -289,10 +289,10 @@ class Certainty:
     """Standard errors of L fitted lights, and the unknowns that the images do not determine."""
 
     powers: Doubles
-    """Standard errors of the lights' powers, shape (L, 3), last that of the SH environment's mean radiance; 0 for
-    powers that were held."""
+    """Standard errors of the L lights' powers (colour times intensity), 0 for held ones; a last row has that of the SH
+    environment's mean radiance, if one is fitted. Shape (L, 3) or (L + 1, 3)."""
     positions: Doubles
-    """Standard errors of the positions, scene units, shape (L, 3); NaN where positions were not fitted."""
+    """Standard errors of the lights' positions, scene units, in the same rows as ``powers``; NaN where not fitted."""
     dark: tuple[int, ...]
     """Indices of lights in the scene whose light reaches no fitted pixel, so that they stay unchanged."""
     confounded: tuple[tuple[str, ...], ...]

@@ -39,8 +39,8 @@ SEARCH_STEPS = 25
 """Maximum number of Gauss-Newton steps at each resolution."""
 
 _ANGLE_MAX, _STOPS_MAX = 0.3, 0.7
-"""Largest change in one Gauss-Newton step of an angle, radians (`_ANGLE_MAX`), and of the logarithm of an exposure
-factor (`_STOPS_MAX`)."""
+"""Largest change in one Gauss-Newton step of a direction or cone angle, radians (`_ANGLE_MAX`), and of the natural
+logarithm of an exposure factor (`_STOPS_MAX`)."""
 _ANCHOR = 1e3
 """Weight of the quadratic term that holds the product of the base colours, relative to the largest weight of the
 images."""

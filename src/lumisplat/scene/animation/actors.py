@@ -54,7 +54,7 @@ class GaussianSequence:
     load: Callable[[Path], Gaussians]
     """Function that reads the Gaussians of one frame from its file."""
     _cache: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict[int, Gaussians], init=False)
-    """Cached frames by index, the most recently used last."""
+    """Last used frames, at most `SEQUENCE_FRAMES_KEPT`, by frame number; the most recently used one is last."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paths", tuple(self.paths))
@@ -67,12 +67,12 @@ class GaussianSequence:
 
     @property
     def frame_count(self) -> int:
-        """Number of frames."""
+        """Number of frames of the sequence."""
         return len(self.paths)
 
     @property
     def duration(self) -> float:
-        """Time at which the last frame ends, seconds."""
+        """Time at which the last frame ends, ``frame_count / fps``, seconds."""
         return self.frame_count / self.fps
 
     def at(self, time: float) -> Gaussians:
@@ -105,7 +105,7 @@ class Deforming:
     """A deforming mesh or capture that is read from its file for each time; made by `load_animation`."""
 
     read: Callable[[float], Instances]
-    """Function that reads the placed instances at a time in seconds."""
+    """Function that returns the capture's or mesh's placed instances at a time in seconds."""
     _shown: dict[float, Instances] = field(default_factory=dict[float, Instances], init=False)
     """The last time that `at` was given, seconds, and its instances: a cache of at most one entry."""
 
@@ -187,7 +187,7 @@ class Actor:
         return self.subject if isinstance(self.subject, Rig) else None
 
     def at(self, time: float) -> tuple[Instance, ...]:
-        """Returns the actor's instances at a time: one instance, or one per mesh of its rig or asset of its scene.
+        """Returns the actor's world-space instances at a time: one, or one per mesh of its rig or object of its scene.
 
         Args:
             time: Seconds of the animation.
@@ -248,7 +248,7 @@ def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ..
 
 
 def _items(name: str, items: Iterable[_Item], kind: type[_Item]) -> tuple[_Item, ...]:
-    """Converts a list from the user to a tuple; raises a `SceneError` if an entry has another type."""
+    """Converts a list to a tuple; raises a `SceneError`, which names the list ``name``, if an entry is no ``kind``."""
     taken = tuple(items_of(name, items))
     for item in taken:
         if not isinstance(item, kind):
@@ -265,7 +265,7 @@ class Animation:
     """
 
     scene: Scene
-    """Static captures, meshes and lights."""
+    """The static part of the animation: captures, meshes and lights that do not move."""
     actors: tuple[Actor, ...] = given(converter=_actors, default=())
     cameras: tuple[Camera, ...] = given(converter=_cameras, default=())
     fps: Annotated[float, Range(0.0, above=True)] = 25.0
@@ -273,7 +273,7 @@ class Animation:
     frame_count: Annotated[int, Range(1)] = 1
     """Number of frames to render, 1 to 1,000,000."""
     lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
-    """Settings of the actors' relighting and shadows."""
+    """Settings for relighting the actors and for their shadows on the captures."""
     camera_path: CameraPath | None = None
     """Path of a moving camera, in seconds of the animation; None: the fixed ``cameras`` are used."""
 

@@ -26,7 +26,7 @@ _BLENDED = ("cx", "cy", "near", "aperture", "focus_distance", "exposure")
 
 
 def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ...]:
-    """Converts cameras from the user to a tuple; raises a `SceneError` if the list holds something else."""
+    """Converts a list of cameras to a tuple; raises a `SceneError` if an entry is not a `Camera`."""
     cameras = tuple(items_of(name, items))
     for camera in cameras:
         if not isinstance(camera, Camera):

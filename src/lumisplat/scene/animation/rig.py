@@ -29,26 +29,26 @@ _Floats = npt.NDArray[np.floating]
 
 
 class Channel(Enum):
-    """Property of a node that a clip animates."""
+    """Kind of node property that a clip animates."""
 
     TRANSLATION = "translation"
-    """Translation vector, shape (3,)."""
+    """Translation of the node relative to its parent, shape (3,)."""
     ROTATION = "rotation"
-    """Rotation as a unit quaternion wxyz, shape (4,)."""
+    """Rotation of the node relative to its parent, unit quaternion wxyz, shape (4,)."""
     SCALE = "scale"
-    """Scale factors along the axes, shape (3,)."""
+    """Scale factors of the node along its x, y and z axis, shape (3,)."""
     WEIGHTS = "weights"
     """Weights of the T morph targets of the node's mesh, shape (T,)."""
 
 
 class Interpolation(Enum):
-    """Interpolation of values between keys (glTF 2.0 appendix C)."""
+    """How a track's values between two keys are computed (glTF 2.0 appendix C)."""
 
     STEP = "STEP"
     LINEAR = "LINEAR"
-    """Linear interpolation; slerp for rotations."""
+    """Linear interpolation between two keys; slerp for rotations."""
     CUBICSPLINE = "CUBICSPLINE"
-    """Cubic Hermite spline."""
+    """Cubic Hermite spline with the tangents that the file stores."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,13 +61,17 @@ class Track:
     times: Doubles
     """Times of the K keys, seconds, not decreasing, shape (K,)."""
     values: Doubles
-    """Values at the keys, shape (K, C)."""
+    """Values of the animated property at the K keys, C numbers each, shape (K, C)."""
     tangents: Doubles | None = None
     """Incoming and outgoing tangents at each key of a cubic spline, value units per second, shape (K, 2, C); None if
     values are interpolated linearly."""
 
     def at(self, time: float) -> Doubles:
-        """Returns the value at a time, shape (C,), constant before the first key and after the last one."""
+        """Returns the interpolated value at a time, shape (C,); beyond the first or last key, the value of that key.
+
+        Args:
+            time: Seconds of the clip.
+        """
         before = int(np.searchsorted(self.times, time, side="right")) - 1
         if before < 0 or before + 1 >= self.times.size or self.interpolation is Interpolation.STEP:
             return self._normalise(self.values[max(before, 0)])
@@ -106,15 +110,15 @@ class Skeleton:
     """Hierarchy of N nodes with their rest transforms. A node scales a point, then rotates, then translates it."""
 
     parents: tuple[int | None, ...]
-    """Index of each node's parent; None for a root."""
+    """For each of N nodes, the index of its parent node; None for a root."""
     order: tuple[int, ...]
-    """Indices of all nodes, parents before children."""
+    """Indices of all N nodes, sorted so that every parent comes before its children."""
     translations: Doubles
-    """Rest translations, shape (N, 3)."""
+    """Translation of each node relative to its parent in the rest pose, shape (N, 3)."""
     rotations_wxyz: Doubles
-    """Rest rotations, unit quaternions, shape (N, 4)."""
+    """Rotation of each node relative to its parent in the rest pose, unit quaternions, scalar first, shape (N, 4)."""
     scales: Doubles
-    """Rest scales, shape (N, 3)."""
+    """Scale factors of each node along its axes in the rest pose, shape (N, 3)."""
     matrices: Mapping[int, Doubles]
     """By node, the matrix ``parent_from_node``, for nodes that a file gives as a matrix instead of translation,
     rotation and scale; clips do not move these nodes."""
@@ -123,7 +127,7 @@ class Skeleton:
         """Returns the transforms of all N nodes to world space, shape (N, 4, 4).
 
         Args:
-            clip: Animation; None: rest pose.
+            clip: Animation clip to apply; None: the rest pose.
             time: Time of the clip in seconds.
         """
         columns = {
@@ -149,7 +153,7 @@ class Skeleton:
 
 
 def blend_matrices(matrices: _Floats, joints: npt.NDArray[np.integer], weights: _Floats) -> npt.NDArray[np.float64]:
-    """Returns the skinning matrix of each of V vertices, shape (V, 3, 4).
+    """Returns each vertex's skinning matrix, the weighted mean of its joints' matrices, shape (V, 3, 4).
 
     Args:
         matrices: ``world_from_bind`` of each of J joints: pose times inverse bind matrix, shape (J, 4, 4).
@@ -169,7 +173,7 @@ class MorphTargets:
     """Blend shapes: T targets that offset V vertices, multiplied by weights and added."""
 
     node: int
-    """Index of the node whose morph-target weights a clip animates."""
+    """Index of the skeleton node whose ``WEIGHTS`` channel a clip animates to blend these targets."""
     weights: Doubles
     """Weights of the T morph targets at rest, shape (T,)."""
     positions: FloatArray
@@ -189,7 +193,7 @@ class RigPart:
     nodes: IntArray
     """For each of the J joints, the index of its node in the skeleton, shape (J,)."""
     joint_from_bind: Doubles
-    """Inverse bind matrix of each joint, shape (J, 4, 4)."""
+    """Inverse bind matrices: for each joint, from the bind pose to the joint's space, shape (J, 4, 4)."""
     joints: IntArray
     """Indices of the joints that move each vertex, 0..J-1, shape (V, K)."""
     weights: FloatArray
@@ -197,7 +201,7 @@ class RigPart:
     morphs: MorphTargets | None = None
 
     def matrices(self, world_from_node: Doubles) -> Doubles:
-        """Returns the ``world_from_bind`` matrix of each of V vertices, shape (V, 3, 4)."""
+        """Returns the matrix from bind pose to world of each of V vertices, shape (V, 3, 4), for posed nodes."""
         return blend_matrices(world_from_node[self.nodes] @ self.joint_from_bind, self.joints, self.weights)
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
@@ -263,7 +267,7 @@ class RigSurface:
         )
 
     def _select(self, usable: npt.NDArray[np.bool_]) -> IntArray:
-        """Returns the triangles of a mask; repeated calls return the same array object, so that caches recognise it."""
+        """Returns the triangles that a mask selects, and for the same mask the same array, so that caches match."""
         key = usable.tobytes()
         if key not in self._usable_indices:
             self._usable_indices.clear()
@@ -296,7 +300,7 @@ class Rig:
     surfaces: tuple[RigSurface, ...]
     animations: tuple[Clip, ...]
     meshes: tuple[Mesh, ...] = field(init=False)
-    """Meshes in the rest pose, one per material, with the joints where the file's nodes are, as `load` returns them."""
+    """Meshes in the rest pose, one per material, posed by the file's node transforms, as `load` returns them."""
 
     def __post_init__(self) -> None:
         rest = RigPose(self.skeleton.world_from_node(), {})
@@ -311,7 +315,7 @@ class Rig:
 
     @property
     def clips(self) -> tuple[str, ...]:
-        """Names of the clips, in the file's order; a clip without a name is named by its number."""
+        """Names of the animation clips, in the file's order; a clip without a name is named by its number."""
         return tuple(clip.name for clip in self.animations)
 
     @property
@@ -415,6 +419,6 @@ def join_triangles(parts: list[RigPart], indices: list[IntArray], skeleton: Skel
 
 
 def _normalise(normals: Doubles) -> FloatArray:
-    """Normalises normals; zero normals stay zero, for `Mesh` to fill."""
+    """Scales normals to length 1; normals of length 0 stay 0, and `Mesh` replaces them by face normals."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0).astype(np.float32)

@@ -20,8 +20,8 @@ RIG_HIDDEN_AREA = 1e-4
 hundredth, or so flat that float32 loses its normal."""
 
 RIG_SHEAR_MIN = 1e-5
-"""Cosine between a Gaussian's two deformed wide axes below which the axes count as perpendicular: above float32's
-rounding, which would otherwise rotate round discs."""
+"""Two wide axes of a deformed Gaussian count as perpendicular if the cosine between them is at most this: float32's
+rounding would otherwise rotate round discs."""
 
 _Floats = npt.NDArray[np.floating]
 
@@ -39,9 +39,9 @@ class Binding:
     corners: IntArray
     """Vertex indices of the T triangles that hold Gaussians, shape (T, 3)."""
     areas: FloatArray
-    """Twice the rest areas of the triangles, shape (T,)."""
+    """Twice the area of each of the T triangles in the rest pose, square scene units, shape (T,)."""
     triangles: IntArray
-    """Index of the triangle of each Gaussian, 0..T-1, shape (N,)."""
+    """Index, 0..T-1, of the triangle to which each of the N Gaussians is bound, shape (N,)."""
     weights: FloatArray
     """Barycentric coordinates of each Gaussian's centre in its triangle, shape (N, 3)."""
     in_frame: FloatArray
@@ -71,7 +71,7 @@ class Binding:
 
 
 def bind_surface(mesh: Mesh, samples: SurfaceSamples) -> Binding:
-    """Binds sampled Gaussians to the triangles of the mesh from which they were sampled."""
+    """Binds disc Gaussians that were sampled on ``mesh`` (`sample_surface`) to the triangles on which they lie."""
     used, triangles = np.unique(samples.faces, return_inverse=True)
     corners = mesh.indices[used]
     a, b, c = mesh.positions.astype(np.float64)[corners].swapaxes(0, 1)

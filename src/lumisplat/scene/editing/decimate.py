@@ -29,13 +29,13 @@ DECIMATE_COLOR_WEIGHT = 30.0
 the growth of their covariance. Results stay within 0.3 dB from 10 to 100."""
 
 DECIMATE_OPACITY_MIN = 1e-9
-"""Smallest opacity from which masses are computed, because masses are weights and must not be 0."""
+"""Lower bound of the opacity from which a Gaussian's mass in mixtures is computed: weights must not be 0."""
 
 ROWS, COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
 """Row (`ROWS`) and column (`COLUMNS`) in a symmetric 3 x 3 matrix of its six packed entries xx, xy, xz, yy, yz, zz."""
 
 _DECIMATE_BLOCK = 2**13
-"""Number of pairs whose costs are computed at once: about 60 doubles per pair fit into the CPU cache."""
+"""Number of pairs whose merging costs are computed at once: about 60 doubles per pair fit into the CPU cache."""
 
 _Indices = npt.NDArray[np.intp]
 
@@ -50,17 +50,17 @@ class Moments(NamedTuple):
     masses: Doubles
     """Weight of each Gaussian in mixtures: opacity times projected area (`areas`), above 0, shape (N,)."""
     means: Doubles
-    """Means, shape (3, N)."""
+    """Centres of the N Gaussians, scene units, shape (3, N)."""
     covariances: Doubles
     """Covariances as six packed entries xx, xy, xz, yy, yz, zz, square scene units, shape (6, N)."""
 
     def at(self, rows: npt.NDArray[np.intp] | slice) -> Moments:
-        """Returns the moments of the Gaussians that ``rows`` selects."""
+        """Returns mass, mean and covariance of the Gaussians that ``rows`` (indices or a slice) selects."""
         return Moments(self.masses[rows], self.means[:, rows], self.covariances[:, rows])
 
 
 def moments_of(gaussians: Gaussians) -> Moments:
-    """Returns the moments of each Gaussian of a capture."""
+    """Returns mass (opacity times projected area), mean and covariance of each Gaussian of a capture."""
     axes = matrices_from_quaternions(gaussians.rotations_wxyz) * gaussians.scales[:, None, :].astype(np.float64)
     matrices = axes @ axes.transpose(0, 2, 1)
     covariances = np.ascontiguousarray(matrices[:, ROWS, COLUMNS].T)
@@ -216,7 +216,7 @@ def _costs(parts: Moments, logs: Doubles, colors: Doubles, own: slice, other: sl
 
 
 def _cheapest(pairs: _Pairs, most: int) -> _Pairs:
-    """Returns the ``most`` cheapest pairs, or all pairs if there are fewer."""
+    """Returns the ``most`` pairs of lowest merging cost, in any order; all pairs if there are fewer."""
     if pairs.first.size <= most:
         return pairs
     rows = np.argpartition(pairs.costs, most - 1)[:most]

@@ -31,8 +31,8 @@ _CLEAR = 0.2
 """Height of the space above a ground plane, relative to the capture's size, that must be free over part of the plane
 (`_OPEN_LEAST`)."""
 _OPEN_LEAST = 0.3
-"""Smallest fraction of a ground plane's area with free space above it. It rejects the back of a lying guitar, whose
-front occupies that space."""
+"""Smallest fraction of a ground plane's area with free space above it. It rejects the back of a lying guitar, above
+which is the guitar's front."""
 _GROUND_LEAST = 0.06
 """Smallest fraction of the scene's visible weight (opacity times area) within `_THICKNESS` of a plane that is a
 ground."""
@@ -144,7 +144,7 @@ def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussi
 
 
 def _cloud(scene: Scene) -> _Cloud:
-    """Samples a scene's Gaussians, weighted by opacity and projected area; the area of large Gaussians is limited."""
+    """Samples every n-th Gaussian of a scene, weighted by opacity times area; the largest 5 % of weights are cut."""
     points, weights = zip(*map(_weighted, scene.splats), strict=True)
     means, mass = np.concatenate(points), np.concatenate(weights)
     step = max(1, len(means) // _SAMPLES)

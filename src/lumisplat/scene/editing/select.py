@@ -22,7 +22,7 @@ FLOATER_REACH = 3.0
 of the capture's median largest scale if that is more: about where its visible footprint ends."""
 
 Range = tuple[float | None, float | None]
-"""Smallest and largest value to keep; None: no limit."""
+"""Smallest and largest value of Gaussians to keep, both included; None: no limit on this side."""
 
 Box = tuple[npt.ArrayLike, npt.ArrayLike]
 Sphere = tuple[npt.ArrayLike, float]
@@ -120,7 +120,7 @@ def _limits(name: str, limits: object) -> tuple[float, float]:
 
 
 def _values(gaussians: Gaussians, name: str) -> FloatArray:
-    """Returns the value ``name`` (an argument of `select`) of each of N Gaussians, shape (N,)."""
+    """Returns the quantity ``name``, such as ``"opacity"`` or ``"x"`` (see `select`), of each of N Gaussians, (N,)."""
     if name in ("x", "y", "z"):
         axis = "xyz".index(name)
         return gaussians.means[:, axis] + gaussians.origin[axis] if any(gaussians.origin) else gaussians.means[:, axis]

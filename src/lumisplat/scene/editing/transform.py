@@ -97,7 +97,7 @@ def _rotated_sh(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArr
 
 
 def _placement(scale: float, rotation_degrees: _Vector, translation: _Vector) -> npt.NDArray[np.float64]:
-    """Returns the matrix that scales, then rotates, then moves; shape (4, 4)."""
+    """Returns the matrix, (4, 4), that scales, then rotates about x, y and z, then translates."""
     check_positive("scale", scale)
     angles, offset = finite_numbers(rotation_degrees, (3,)), finite_numbers(translation, (3,))
     if angles is None:

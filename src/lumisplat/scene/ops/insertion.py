@@ -138,7 +138,8 @@ class Insertion:
     """Position, size and orientation that `insert` chooses for an object in a scene of captures."""
 
     world_from_asset: Doubles
-    """Similarity transform from the object's file to world space, shape (4, 4)."""
+    """Matrix, rotation, uniform scale and translation, from the object's file coordinates to the world, shape (4, 4).
+    """
     scale: float
     """Uniform scale factor that ``world_from_asset`` contains; 1 keeps the object's size."""
     where: str

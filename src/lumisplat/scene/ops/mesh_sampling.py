@@ -47,7 +47,7 @@ quarter of an hour.
 """
 
 SAMPLING_CANDIDATES_PER_GAUSSIAN = 4.0
-"""Candidate points per Gaussian: Poisson-disk elimination needs several times as many candidates as it selects."""
+"""Number of random surface points per Gaussian from which Poisson-disk elimination selects the Gaussians' centres."""
 
 SAMPLING_SEARCH_SPACINGS = 0.86
 """First radius of the Poisson-disk elimination, in spacings between Gaussians; the radius shrinks until enough points
@@ -69,7 +69,7 @@ SAMPLING_GROWTH = 1.08
 """Factor by which one growth step enlarges the in-plane scale of a disc Gaussian beside a hole."""
 
 SAMPLING_GROWTH_STEPS = 8
-"""Largest number of growth steps: 1.08^8 = 1.85 times the first scale."""
+"""Largest number of growth steps of a disc Gaussian: it reaches at most 1.08^8 = 1.85 times its first scale."""
 
 SAMPLING_GROWTH_REACH = 0.5
 """At an uncovered point the nearest disc grows, and with it all discs whose Gaussian exponent there is at most this
@@ -79,7 +79,7 @@ SAMPLING_COVERED_ALPHA = 0.95
 """Alpha of all discs together from which a candidate point counts as covered."""
 
 SAMPLING_FACING_COSINE = -0.5
-"""Cosine between normals below which neighbours lie on the two sides of a thin wall."""
+"""Near points on a mesh lie on the two sides of a thin wall if the cosine between their face normals is below this."""
 
 SAMPLING_AXIS_COSINE = 0.97
 """A disc faces along the shading normal if the cosine between it and the face's normal exceeds this (14 degrees), else
@@ -249,9 +249,9 @@ class SurfaceSamples(NamedTuple):
 
     gaussians: Gaussians
     faces: npt.NDArray[np.integer]
-    """Index of the triangle on which each Gaussian lies, shape (N,)."""
+    """Index of the mesh's triangle on which each of the N Gaussians has its centre, shape (N,)."""
     weights: npt.NDArray[np.float64]
-    """Barycentric coordinates of each centre in its triangle, shape (N, 3)."""
+    """Barycentric coordinates of each Gaussian's centre in its triangle, shape (N, 3)."""
 
 
 def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> SurfaceSamples:

@@ -42,7 +42,7 @@ def morton_order(positions: _Floats) -> npt.NDArray[np.int64]:
 
 
 def morton_codes(shares: _Floats) -> npt.NDArray[np.uint64]:
-    """Returns the Morton codes of N points in the unit cube, given by axis, shape (3, N); the result has shape (N,)."""
+    """Returns the Morton codes, shape (N,), of N points in the unit cube, given as x, y and z rows, shape (3, N)."""
     code = np.zeros(shares.shape[1], dtype=np.uint64)
     for axis in range(3):
         bits = (shares[axis] * (2**21 - 1)).astype(np.uint64)
@@ -60,7 +60,7 @@ def morton_codes(shares: _Floats) -> npt.NDArray[np.uint64]:
 
 
 SAMPLING_RADIUS_STEP = 0.97
-"""Factor by which the Poisson-disk radius shrinks while too few points are selected."""
+"""Factor by which the radius of Poisson-disk elimination shrinks, repeatedly, while too few points are selected."""
 
 SAMPLING_RADIUS_STEPS_MAX = 100
 """Largest number of times that the Poisson-disk radius shrinks, to a twentieth in all. Points still closer than that

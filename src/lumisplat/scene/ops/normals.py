@@ -35,7 +35,8 @@ NORMAL_NEIGHBOURS_PER_CELL = 16
 as a surface has there. In dense clusters every Gaussian would otherwise be paired with every other."""
 
 NORMAL_NEIGHBOURS_MIN = 4
-"""Smallest number of neighbours that determine a plane."""
+"""Smallest number of neighbours from which a Gaussian's tangent plane is fitted; with fewer, its shortest axis is
+used."""
 
 OUTSIDE_CELLS = 1_500_000
 """Largest number of voxels of the grid that tells inside from outside: a voxel is about a centimetre for a person, and
@@ -96,12 +97,12 @@ class OpennessGrid(NamedTuple):
     """Openness of each cell: 0 is solid or enclosed, 1 sees the outside in all 26 directions; blurred by about a cell,
     shape (X, Y, Z) for cells along x, y, z."""
     corner: Doubles
-    """Lower corner of cell (0, 0, 0), shape (3,)."""
+    """Lower corner of cell (0, 0, 0) in the capture's object space, shape (3,)."""
     cell: float
-    """Side of a cell, scene units."""
+    """Side of a cubic cell, scene units."""
 
     def at(self, points: Doubles) -> FloatArray:
-        """Returns the openness at N points, shape (N, 3); 1 outside the grid."""
+        """Returns the openness, 0..1, at N points, (N, 3), in object space; 1 outside the grid. The shape is (N,)."""
         cells = np.floor((points - self.corner) / self.cell)
         inside = np.all((cells >= 0) & (cells < np.array(self.openness.shape)), axis=1)
         x, y, z = np.where(inside[:, None], cells, 0.0).astype(np.int64).T
@@ -294,7 +295,10 @@ def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
 
 
 def _pairs_within(means: FloatArray, radius: float) -> Pairs:
-    """Pairs each Gaussian (``first``) with others within ``radius``, at most `NORMAL_NEIGHBOURS_PER_CELL` per cube."""
+    """Pairs each Gaussian (``first``) with near ones (``second``) within ``radius``, of which each cube offers a few.
+
+    Each cube with the radius as side offers its first `NORMAL_NEIGHBOURS_PER_CELL` Gaussians.
+    """
     _, cells = np.unique(np.floor(means / radius).astype(np.int64), axis=0, return_inverse=True)
     order = np.argsort(cells.ravel(), kind="stable")
     starts = np.searchsorted(cells.ravel()[order], cells.ravel()[order])

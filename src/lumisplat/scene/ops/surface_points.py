@@ -32,17 +32,17 @@ _Ints = npt.NDArray[np.integer]
 
 
 class SurfacePoints(NamedTuple):
-    """M points on the triangles of a mesh."""
+    """M points on the triangles of a mesh: position, triangle and barycentric coordinates of each."""
 
     positions: Doubles
-    """Positions of the points, shape (M, 3)."""
+    """Positions of the M points in the mesh's object space, shape (M, 3)."""
     faces: npt.NDArray[np.integer]
-    """Index of each point's triangle, shape (M,)."""
+    """Index of the triangle on which each of the M points lies, shape (M,)."""
     weights: Doubles
     """Barycentric coordinates of each point in its triangle, shape (M, 3)."""
 
     def at(self, rows: npt.NDArray[np.integer]) -> SurfacePoints:
-        """Returns the points that the indices ``rows`` select."""
+        """Returns those of the points that the indices ``rows`` select, in this order."""
         return SurfacePoints(self.positions[rows], self.faces[rows], self.weights[rows])
 
 
@@ -109,9 +109,9 @@ class CreasePoints(NamedTuple):
     """C points sampled along the creases of a mesh: its sharp, open and non-manifold edges."""
 
     positions: npt.NDArray[np.float64]
-    """Positions of the points, shape (C, 3)."""
+    """Positions of the C crease points in the mesh's object space, shape (C, 3)."""
     directions: npt.NDArray[np.float64]
-    """Unit direction of the edge at each point, shape (C, 3)."""
+    """Unit direction along the crease at each point, of arbitrary sign, shape (C, 3)."""
 
 
 def crease_points(mesh: Mesh, face_normals: npt.NDArray[np.floating], spacing: float, *, limit: int) -> CreasePoints:

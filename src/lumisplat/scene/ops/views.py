@@ -24,10 +24,11 @@ FRAMING_FARTHEST = 1e17
 to 1e18."""
 
 _FRAMING_FOV_Y = 0.8
-"""Default vertical field of view, radians: a normal lens."""
+"""Vertical field of view, radians, of an automatic camera if no first view gives one: that of a normal lens."""
 
 _FRAMING_ELEVATION = 0.2
-"""Default elevation of the eye above the horizon, radians: enough to show the ground below an object."""
+"""Elevation, radians, of an automatic camera's eye above the horizon if no first view gives one: it shows the ground
+below an object."""
 
 _STEEP = 0.1
 """Cosine of a first view's elevation below which it looks so steeply that the image's up direction gives its azimuth.
@@ -59,7 +60,8 @@ _MIDDLE = 0.3
 _COUNT = 2000
 """Largest number of cameras among which the first view is chosen; of more cameras, every n-th is considered."""
 _WIDEST = 2.0
-"""Largest vertical field of view of a capture's first view, radians; views of wider lenses are narrowed to it."""
+"""Largest vertical field of view, radians, of the first view that is chosen among cameras; wider ones are narrowed to
+it."""
 
 
 def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
