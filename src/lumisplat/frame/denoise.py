@@ -20,8 +20,7 @@ from lumisplat.math.tone_map import captured_radiance
 
 UNLIT_REACH = 2
 """Radius in pixels of the square (5 x 5 pixels) in which light must leave every captured pixel unchanged for the
-middle pixel to count as unlit. If a light hits half of all samples, one sample in each pixel misses it in all 25 with
-probability 1 in 30 million."""
+middle pixel to count as unlit. One pixel is not enough, because its few samples may all miss a light."""
 
 
 def check_denoiser() -> None:

@@ -62,9 +62,9 @@ class Frame(FrameData):
     """Functions that download images from the device, by field name; a function runs when its image is first read."""
 
     LAYERS: ClassVar[tuple[str, ...]] = LAYERS
-    """Names of images that can be saved in addition to the colour."""
+    """Names of images that can be saved in addition to the colour, such as depth."""
     VIEWS: ClassVar[tuple[str, ...]] = VIEWS
-    """Names of false-colour images that explain the frame; see `view`."""
+    """Names of false-colour images that explain the frame, such as hits; see `view`."""
     NEEDS: ClassVar[Mapping[str, str]] = {name: name for name in AOVS} | {
         "shadow": "lights",
         "shadow_matte": "shadow_ratio",

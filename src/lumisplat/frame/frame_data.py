@@ -17,12 +17,12 @@ from lumisplat.scene.ops.views import world_rays
 
 @dataclass(frozen=True, slots=True)
 class FrameStats:
-    """Times and counts of one frame."""
+    """Times and counts of the rendering of one frame."""
 
     stage_ms: dict[str, float]
     """Wall time of each stage in milliseconds; on CUDA only when profiling."""
     gaussian_count: int
-    """Gaussians in the scene, over all instances."""
+    """Number of Gaussians in the scene, over all instances."""
     visible_count: int
     """Number of Gaussians whose footprint touches the image. Only the rasteriser counts them."""
     nonfinite_count: int
@@ -31,7 +31,7 @@ class FrameStats:
     pair_count: int
     """Number of pairs of a tile and a Gaussian that touches the tile. Only the rasteriser counts them."""
     triangle_count: int
-    """Triangles in the scene, over all instances."""
+    """Number of triangles in the scene, over all instances."""
     memory_bytes: int
     """Device memory of assets and frame buffers in bytes."""
     noise: float | None = None
@@ -65,7 +65,7 @@ class FrameData:
     instance_index: IntArray
     """Index of the instance at the surface, (H, W): splat instances in scene order, then mesh instances; -1: none."""
     camera: Camera
-    """Camera that was rendered."""
+    """Camera of the frame."""
     color_space: str = "srgb"
     """``srgb``: display-referred values as captures were trained, in unlit frames. ``linear``: linear Rec.709 before
     exposure and tone mapping, in lit frames."""
@@ -80,25 +80,27 @@ class FrameData:
     """Times and counts of the rendering; None: unknown."""
     captured: FloatArray | None = None
     """Captured part of a lit frame as an unlit frame shows it, including the background: display-referred sRGB, shape
-    (H, W, 3), premultiplied by ``captured_weight``. Splat sets whose material emits less than their full colour are not
-    in ``captured`` but entirely in ``light``."""
+    (H, W, 3), premultiplied by ``captured_weight``; None: unlit frame. Splat sets whose material emits less than their
+    full colour are not in ``captured`` but entirely in ``light``."""
     captured_weight: FloatArray | None = None
     """Fraction of each pixel that captured colours cover, 0..1, (H, W): 1 where only captures and the background are
-    visible."""
+    visible; None: unlit frame."""
     light: FloatArray | None = None
     """Signed linear radiance to add to the captured part, (H, W, 3): positive where lights brighten captures, negative
     in shadows on captures, and all radiance of other objects such as meshes. Where ``light`` is exactly 0, images show
     the captured part unchanged."""
     albedo: FloatArray | None = None
-    """Linear albedo of the surfaces, (H, W, 3)."""
+    """Linear albedo of the surfaces, (H, W, 3); None: ``RenderConfig.aovs`` does not request it."""
     emission: FloatArray | None = None
-    """Linear radiance emitted by surfaces, including captured radiance, (H, W, 3)."""
+    """Linear radiance emitted by surfaces, including captured radiance, (H, W, 3); None: ``RenderConfig.aovs`` does
+    not request it."""
     reflection: FloatArray | None = None
     """Linear radiance of other surfaces that are visible in each pixel's surface, by mirrors, glass and gloss, (H, W,
-    3).
+    3); None: ``RenderConfig.aovs`` does not request it.
     """
     hits: FloatArray | None = None
-    """Number of Gaussians that a ray or a raster pixel blends, averaged over samples, (H, W)."""
+    """Number of Gaussians that a ray or a raster pixel blends, averaged over samples, (H, W); None:
+    ``RenderConfig.aovs`` does not request it."""
     shadow_ratio: FloatArray | None = None
     """Shadow-catcher ratio, linear, (H, W, 3): the captured part with inserted objects, divided by the captured part
     without inserted objects. Below 1 in shadows of the objects, above 1 where the objects bounce light onto a catcher,
@@ -108,7 +110,8 @@ class FrameData:
     of the captured colour that comes from the light. In frames that are not path-traced, ``color`` is the sum of
     ``light_direct * light_shadow`` over lights, plus ``emission`` and ``reflection``."""
     light_shadow: FloatArray | None = None
-    """Unoccluded fraction of ``light_direct`` for each of L lights, 0..1, (L, H, W, 3)."""
+    """Fraction of ``light_direct`` that arrives despite shadows, for each of L lights, 0..1, (L, H, W, 3); None:
+    ``RenderConfig.aovs`` does not request ``lights``."""
     light_total: FloatArray | None = None
     """Linear radiance that each of L lights contributes to a path-traced frame, (L + 1, H, W, 3): seen directly, in
     mirrors and after bounces. The last entry is emission of surfaces, which no light causes. The sum over the first
@@ -131,19 +134,21 @@ class FrameData:
     """Linear radiance of a path-traced frame by number of scattering events, (max_bounces + 2, H, W, 3). The sum over
     the first axis is ``light``, except for changes of light on shadow catchers."""
     motion: FloatArray | None = None
-    """Motion of each pixel's main surface since the previous frame, in a real-time frame, (H, W, 3): image
-    displacement x (to the right) and y (down) in pixels, and change of the distance from the camera in scene units. All
-    three are 0 where ``motion_known`` is 0."""
+    """Motion since the previous frame, in a real-time frame, of the surface that covers most of each pixel, (H, W, 3):
+    image displacement x (to the right) and y (down) in pixels, and change of the distance from the camera in scene
+    units. All three are 0 where ``motion_known`` is 0."""
     motion_known: IntArray | None = None
     """1 where the pixel's surface was in front of the camera in the previous frame of a real-time sequence, too; 0
     where the surface is new, or there is no surface, (H, W)."""
     history: FloatArray | None = None
     """Number of frames averaged into the direct light of each pixel's surface, in a real-time frame, (H, W); 0 without
-    a surface."""
+    a surface. None: ``RenderConfig.aovs`` does not request it."""
     probes: IntArray | None = None
-    """Number of updates of the screen probe at the pixel, in a real-time frame, (H, W); -1: no probe."""
+    """Number of updates of the screen probe at each pixel, in a real-time frame, (H, W); -1: no probe. None:
+    ``RenderConfig.aovs`` does not request it."""
     cache: FloatArray | None = None
-    """Linear radiance that the radiance cache stores at each pixel's surface, in a real-time frame, (H, W, 3)."""
+    """Linear radiance that the radiance cache stores at each pixel's surface, in a real-time frame, (H, W, 3); None:
+    ``RenderConfig.aovs`` does not request it."""
     cache_cells: IntArray | None = None
     """Identifier of the radiance-cache cell at each pixel's surface, in a real-time frame, 0..2^24 - 1, (H, W); -1: no
     cell. Two cells rarely have equal identifiers."""
@@ -151,11 +156,13 @@ class FrameData:
     """True if rays hit translucent meshes at random, with probability alpha; ``albedo`` and ``normal`` are then noisy.
     """
     is_denoised: bool = False
-    """True if ``light`` is denoised; then no samples can be added."""
+    """True if ``light`` is denoised; then the frame cannot be resumed to add samples."""
     variance: FloatArray | None = None
-    """Estimated variance of the mean ``color`` over samples, that is, its squared standard error, (H, W, 3)."""
+    """Estimated variance of the mean ``color`` over samples, that is, its squared standard error, (H, W, 3); None:
+    ``RenderConfig.aovs`` does not request it."""
     sample_count: IntArray | None = None
-    """Number of samples averaged in each pixel, not counting samples that were not finite, (H, W)."""
+    """Number of samples averaged in each pixel, not counting samples that were not finite, (H, W); None:
+    ``RenderConfig.aovs`` does not request it."""
     accumulated: Mapping[str, FloatArray] | None = None
     """Sums and counts to which further samples can be added, as 32-bit words by name; None: the frame has no samples.
     """

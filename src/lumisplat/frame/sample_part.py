@@ -129,7 +129,7 @@ class _Merger:
         self._means = _means(part)
 
     def add(self, part: SamplePart) -> None:
-        """Merges the next part into the parts so far."""
+        """Merges the next part with the parts merged so far."""
         start = self._start
         if part.first != self._end:
             raise ConfigError(f"a part begins at sample {part.first}, expected {self._end}: parts must be consecutive")

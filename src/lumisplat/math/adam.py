@@ -16,9 +16,9 @@ class Adam:
     """Adam's moments of an array that is updated as a whole, or row by row with a step count for each row."""
 
     first: Doubles
-    """First moments, in the shape of the array."""
+    """First moments (means of gradients), in the shape of the array."""
     second: Doubles
-    """Second moments, in the shape of the array."""
+    """Second moments (means of squared gradients), in the shape of the array."""
     steps: Doubles
     """Number of updates so far: one count for the array, shape (), or one for each of its K rows, shape (K,)."""
 

@@ -23,7 +23,7 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 _Float = TypeVar("_Float", bound=np.floating[Any])
 
 _LAST_ROW = np.array((0.0, 0.0, 0.0, 1.0))
-"""Last row of every affine transform."""
+"""Last row of every affine 4 x 4 transform."""
 _LAST_ROW_ERROR = 1e-6 + 1e-5 * _LAST_ROW
 """Largest accepted error of each entry of the last row of an affine transform."""
 

@@ -18,7 +18,7 @@ DISTORTION_RESIDUAL = 1e-9
 """Largest error of the float64 inverse, in tangents or radians; pixels with a larger error stay empty."""
 
 Coefficients = tuple[float, float, float, float, float, float]
-"""Coefficients (k1, k2, k3, k4, p1, p2)."""
+"""Coefficients (k1, k2, k3, k4, p1, p2) of the lens distortion: radial k, tangential p."""
 
 
 @np.errstate(over="ignore", invalid="ignore")

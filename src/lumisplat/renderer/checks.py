@@ -51,7 +51,7 @@ def checked_config(config: RenderConfig | None) -> RenderConfig:
 
 
 def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
-    """Raises ConfigError if the pipeline cannot render an image in ``aovs``."""
+    """Raises ConfigError if ``aovs`` requests an image that the pipeline cannot render."""
     lacking: set[str] = {*PATH_AOVS}
     others = "Pipeline.PATH does" if "bounces" in plan.aovs else "Pipeline.PATH or Pipeline.REALTIME does"
     if plan.traces_paths:
@@ -68,7 +68,7 @@ def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
 
 
 def check_projection(config: RenderConfig) -> None:
-    """Raises ConfigError if another setting does not support Projection.UNSCENTED."""
+    """Raises ConfigError if the projection is UNSCENTED and another setting does not support it."""
     raster = config.raster
     if raster.projection is not Projection.UNSCENTED:
         return
@@ -196,7 +196,7 @@ def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
 
 
 class RasterWarnings:
-    """Logs, once per renderer, what the rasteriser cannot draw exactly."""
+    """Logs warnings, each once per renderer, of effects that the rasteriser cannot draw exactly."""
 
     def __init__(self) -> None:
         self._warned_of_degrees: set[int] = set()

@@ -110,7 +110,7 @@ class _Target(NamedTuple):
     """View depth (fisheye: distance) of each pixel's sample if no ray hits anything."""
 
     def of(self, pixels: slice) -> _Target:
-        """Returns the rows of a slice of pixels."""
+        """Returns the target colours, alphas and depths of a slice of pixels."""
         return _Target(self.color[pixels], self.alpha[pixels], self.depth[pixels])
 
 
@@ -118,7 +118,7 @@ class _Layers(NamedTuple):
     """Ray hits of a band (pixels traced at once), before they are merged into depth samples; one row per hit."""
 
     pixel: Rows
-    """Index within the band of each hit's pixel."""
+    """Index of each hit's pixel among the pixels that are traced at once (a band)."""
     depth: FloatArray
     """View depth of each hit (fisheye cameras: distance from the camera), scene units."""
     weight: FloatArray
@@ -145,7 +145,7 @@ class _Samples(NamedTuple):
     """Depth samples of pixels, pixel by pixel and from front to back, with the fields of `DeepFrame`."""
 
     counts: Rows
-    """Number of samples of each pixel."""
+    """Number of depth samples of each pixel."""
     near: FloatArray
     far: FloatArray
     color: FloatArray
@@ -322,7 +322,7 @@ def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
     """
 
     def summed(values: Doubles) -> Doubles:
-        """Sums the values of each pixel's hits, shape (pixels, 1 or 3)."""
+        """Sums a value per hit over the hits of each pixel, shape (pixels, 1 or 3)."""
         columns = [np.bincount(layers.pixel, one, len(target)) for one in values.T]
         return np.stack(columns, axis=1, dtype=np.float64)
 

@@ -35,7 +35,7 @@ from lumisplat.scene.scene import Scene
 _log = logging.getLogger("lumisplat")
 
 RAY_BATCH = 2**20
-"""Largest number of a query's rays on the device at once, about 200 MiB."""
+"""Largest number of rays of a query that are on the device at once, about 200 MiB."""
 
 _INPUTS = {"origins": wp.vec3, "directions": wp.vec3, "ends": wp.float32, "starts": wp.float32}
 

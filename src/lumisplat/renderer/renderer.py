@@ -399,7 +399,7 @@ class Renderer:
             return images
 
     def _draw_sample(self, plan: FramePlan, exposure: float, sample: int) -> None:
-        """Adds one sample of each pixel to the film."""
+        """Renders one sample of each pixel, and adds it to the film."""
         self._scene.begin_sample(sample)
         rays = self._film.rays_of(sample, exposure)
         with self._launcher.frame_pass("surfaces") if plan.has_history else nullcontext():

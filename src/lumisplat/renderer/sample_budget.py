@@ -13,7 +13,7 @@ NOISE_CHECKS = 8
 noise level needs."""
 
 ALMOST = 0.999
-"""Largest fraction reported for unfinished work."""
+"""Progress that is reported at most before all samples are finished, of 1."""
 
 
 class SampleBudget:
@@ -35,7 +35,7 @@ class SampleBudget:
         self.done = first
         """Number of samples that the frame has so far, including samples of a resumed frame."""
         self.noise: float | None = None
-        """Last noise estimate; None: not estimated yet."""
+        """Last estimate of the relative error of the pixels; None: not estimated yet."""
         self.fraction = 0.0
         """Estimated fraction of the work that is done, 0..1; at 1 the frame has enough samples."""
         self._update()

@@ -126,7 +126,7 @@ class _Replayed:
     key: object
     graph: wp.Graph | None = None
     result: object = None
-    """Return value of the work when it was captured."""
+    """Value that the work returned when its CUDA graph was captured."""
 
 
 class Launcher:

@@ -127,7 +127,7 @@ def _bound_by_cone(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> None
 
 
 def face_count(atlas: Atlas) -> int:
-    """Returns the number of square faces of the atlas."""
+    """Returns the number of square faces (images of texels) of a light's atlas."""
     return 6 if atlas.layout == CUBEMAP else 1
 
 
@@ -218,12 +218,12 @@ class Region:
 
 
 def texel_count(atlas: Atlas) -> int:
-    """Returns the number of texels of all faces together."""
+    """Returns the number of texels of an atlas, over all its faces."""
     return face_count(atlas) * atlas.size**2
 
 
 def whole_region(atlas: Atlas) -> Region:
-    """Returns the region of all texels and bins."""
+    """Returns the region in which every texel and depth bin of the atlas is tabulated."""
     count = texel_count(atlas)
     return Region(np.arange(count, dtype=np.int32), np.zeros(count, np.int32), np.full(count, atlas.bins, np.int32))
 

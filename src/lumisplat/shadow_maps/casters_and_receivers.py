@@ -24,7 +24,7 @@ from lumisplat.scene.ops.mesh_sampling import sample_surface
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
-"""Gaussians, or objects that can be converted to Gaussians."""
+"""Types of shadow casters and receivers: Gaussians, or objects that can be converted to Gaussians."""
 
 _EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
 

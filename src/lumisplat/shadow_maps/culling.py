@@ -36,7 +36,7 @@ class CulledCasters:
     """Lists, for each cell (a square of texels), the casters that light rays through the cell may intersect."""
 
     lists: CasterLists
-    """The caster lists on the device."""
+    """For each cell, the indices of the casters that may shadow it; on the device."""
     counts: IntArray
     """Number of casters in the list of each cell."""
 

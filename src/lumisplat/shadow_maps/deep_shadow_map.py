@@ -72,7 +72,7 @@ class DeepShadowStats:
     pairs: int
     """Number of (texel, caster) pairs, summed over the caster lists that texels evaluated."""
     stage_ms: dict[str, float]
-    """Wall time of each stage, milliseconds."""
+    """Wall time of each stage of the build, milliseconds, by name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ class _Layout:
     list_of_texel: DeviceArray
     """For each texel in ``texels``, the index of the list of casters that may shadow it."""
     values: DeviceArray
-    """Transmittance of all bins; the array that ``table`` refers to."""
+    """Transmittance of all tabulated bins, texel by texel; ``table`` refers to this array."""
     table: Table
 
 
@@ -103,7 +103,7 @@ class DeepShadowMap:
 
     def __init__(self, config: DeepShadowConfig, source: Source, launcher: Launcher) -> None:
         self.config = config
-        """Settings."""
+        """Settings of the map."""
         self._source, self._launcher = source, launcher
         self._frame = LocalFrame(np.zeros(3))
         """Origin and unit to which the map is relative, chosen around the casters of the first build."""
@@ -116,7 +116,7 @@ class DeepShadowMap:
         self._fixed_tiles: TileLists | None = None
         """Culls casters for the tiles of ``_fixed_region``; created by the first build that needs it."""
         self._layout: _Layout | None = None
-        """Columns of the last build on the device; None before the first build."""
+        """Texels and depth bins of the last build on the device; None before the first build."""
         self._bound = ShadowBound()
         self.stats = DeepShadowStats(0, 0, 0, 0, {})
         """Sizes and times of the last build."""
@@ -355,7 +355,7 @@ class DeepShadowMap:
         return self._layout
 
     def _sample(self, placed: PlacedGaussians) -> FloatArray:
-        """Returns the mean transmittance of each receiver."""
+        """Returns the mean transmittance from the light over each receiver's footprint."""
         assert self._layout is not None
         receivers, sampling = upload_receivers(self._buffers, placed), footprint_sampling(self.config, placed)
         transmittance = self._buffers.get("transmittance", wp.float32, len(placed.means))

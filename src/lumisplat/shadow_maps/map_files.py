@@ -41,7 +41,7 @@ class StoredMap:
     source: Source
     """Position of the light relative to ``about``, or the directional light."""
     about: Doubles
-    """World position of the map's origin, shape (3,)."""
+    """World position to which the map's coordinates are relative, shape (3,)."""
     atlas: Atlas
     region: Region
     values: FloatArray

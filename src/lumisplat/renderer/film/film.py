@@ -282,7 +282,7 @@ class Film:
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)} | lights.layers
 
     def _accumulated(self) -> dict[str, DeviceArray]:
-        """Returns the arrays in which samples are accumulated, by name."""
+        """Returns the arrays of sums, counts and means to which samples are added, by name."""
         names = [
             name for name in ("albedo", "reflection", "hits", *PATH_PARTS, *REALTIME_AOVS) if name in self._plan.aovs
         ]
@@ -326,12 +326,12 @@ class Film:
 
     @classmethod
     def _channel(cls, size: tuple[int, int], copies: Copies, name: str) -> FloatArray:
-        """Returns the first channel of a layer from copies, shape (H, W)."""
+        """Returns the first channel of layer ``name``, shape (H, W), from downloaded copies of the film's arrays."""
         return cls._layer(size, copies, name)[..., 0]
 
     @classmethod
     def _integers(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
-        """Returns the first channel of a layer from copies as integers, shape (H, W)."""
+        """Returns the first channel of layer ``name`` as integers, shape (H, W), from downloaded copies."""
         return cls._channel(size, copies, name).astype(np.int32)
 
     @classmethod
@@ -413,12 +413,12 @@ class Film:
 
 
 def has_catchers(plan: FramePlan) -> bool:
-    """Returns whether a frame has shadow catchers."""
+    """Returns whether a frame estimates the light on shadow catchers, by any integrator."""
     return plan.has_shadow_catchers or plan.has_receivers
 
 
 def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:
-    """Returns the images of ``pixels`` from copies, by field name of `Frame`."""
+    """Returns the images in ``pixels``, by field name of `Frame`, from copies of their memory block."""
     images = pixels.images(copies, "pixels")
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
     return images

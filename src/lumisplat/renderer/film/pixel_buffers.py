@@ -42,15 +42,15 @@ class PixelBuffers(Generic[Pixels]):
     """Arrays of a frame's pixels, one after another in one block of device memory."""
 
     data: Pixels
-    """Struct of the arrays that kernels get."""
+    """Struct whose fields are the arrays, which kernels get as an argument."""
     block: DeviceArray
     """The memory block that holds all arrays, as float32."""
     size: tuple[int, int]
-    """Width and height of the image."""
+    """Width and height of the image, pixels."""
     fields: tuple[tuple[str, type[object], int], ...]
     """Arrays in the block, in order: field name, element type, and 32-bit words per element."""
     downloads: Downloads
-    """Copies the block to the host."""
+    """Pool of host memory through which the block is downloaded."""
 
     @staticmethod
     def of(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[PixelData]:
@@ -63,7 +63,7 @@ class PixelBuffers(Generic[Pixels]):
         return _split_block(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, size)
 
     def upload(self, images: dict[str, npt.NDArray[Any]]) -> None:
-        """Uploads images, given by field name."""
+        """Copies images to the device arrays of the same field names."""
         self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in self.fields]))
 
     def download(self) -> dict[str, npt.NDArray[Any]]:

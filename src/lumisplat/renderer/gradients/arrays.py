@@ -51,7 +51,7 @@ class SplatGradients:
     """Gradients of the distinct Gaussian sets, in the order of their first instances. If several instances use a set,
     their gradients are summed."""
     background: Doubles
-    """Gradient with respect to the background colour, shape (3,)."""
+    """Gradient of the loss with respect to the background colour, display-referred sRGB, shape (3,)."""
     camera_from_world: Doubles | None
     """Gradient with respect to the elements of the camera pose, shape (4, 4), with a last row of 0; None if not
     requested. The chain rule turns it into gradients of small rotations and translations of the camera. With

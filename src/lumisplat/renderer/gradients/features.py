@@ -42,7 +42,7 @@ class RenderedFeatures:
 
     @property
     def count(self) -> int:
-        """Number of features of each Gaussian."""
+        """Number of features of each Gaussian, C."""
         return self.of_splats.shape[1]
 
 

@@ -53,7 +53,7 @@ class RaySums:
     """Gradients with respect to the Gaussians that rays hit, accumulated on the device over batches of rays."""
 
     gaussians: list[GaussianGradient]
-    """Gradients of the Gaussians of each asset of the scene."""
+    """Gradients with respect to the parameters of the Gaussians, one struct of arrays for each Gaussian set."""
     weights: DeviceArray
     """Sum over rays of the blending weight of each Gaussian of the scene, instance by instance."""
     largest: DeviceArray
@@ -69,7 +69,7 @@ class _Rays:
 
     rays: RayData
     limits: DeviceArray
-    """Distance at which each ray ends."""
+    """Distance at which each ray ends, such as at the nearest mesh."""
     gradient: RayGradient
     counts: DeviceArray
     """Number of Gaussians that each ray hits."""

@@ -55,7 +55,7 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[RaySplatGradient],
 ):
-    """Per tile: writes a gradient record for each Gaussian that is listed for the tile."""
+    """Per tile: blends its pixels once more, and writes a gradient record for each Gaussian listed for the tile."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -118,7 +118,7 @@ def add_records(
     pairs: wp.array[RaySplatGradient],
     splats_out: wp.array[RaySplatGradient],
 ):
-    """Per Gaussian of the scene: sums the Gaussian's gradient records in the order of its tiles."""
+    """Per Gaussian of the scene: sums its gradient records, one for each tile, in the order of the tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_records(pairs, pair_starts[i], pair_starts[i + 1])
 

@@ -47,7 +47,7 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[SplatGradient],
 ):
-    """Per tile: writes a gradient record for each splat that is listed for the tile."""
+    """Per tile: blends its pixels once more, and writes a gradient record for each splat listed for the tile."""
     arrays = Arrays()
     arrays.rects = rects
     arrays.pair_starts = pair_starts
@@ -100,7 +100,7 @@ def backward_blocks(
 def add_pairs(
     start: int, pair_starts: wp.array[int], pairs: wp.array[SplatGradient], splats_out: wp.array[SplatGradient]
 ):
-    """Per splat: sums the splat's gradient records in the order of its tiles."""
+    """Per splat: sums its gradient records, one for each tile that it touches, in the order of the tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_pairs(pairs, pair_starts[i], pair_starts[i + 1])
 

@@ -39,7 +39,7 @@ class Integrators:
         self._realtime: RealtimeIntegrator | None = None
 
     def of(self, plan: FramePlan) -> Integrator:
-        """Returns the integrator that a frame of this plan needs."""
+        """Returns the integrator that a frame of this plan needs, created at its first use."""
         if plan.has_history:
             from lumisplat.renderer.realtime.realtime import RealtimeIntegrator
 

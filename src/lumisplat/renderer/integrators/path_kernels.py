@@ -64,7 +64,7 @@ use, is derived from the ray's key."""
 
 @wp.kernel
 def begin_paths(start: int, paths_out: wp.array[PathData]):
-    """Starts one path with each ray of the first wave."""
+    """Per camera ray: starts a path."""
     i = start + wp.tid()
     paths_out[0].root[i] = i
     paths_out[0].throughput[i] = wp.vec3(1.0)
@@ -92,7 +92,7 @@ def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathDa
 
 @wp.func
 def catcher_ambient(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the ambient irradiance on the shadow catcher that ray ``i`` of the first wave hits."""
+    """Returns the ambient irradiance on the shadow catcher that camera ray ``i`` hits."""
     surface = splat_surface(i, is_over_light(i, scene, wave), scene, wave)
     return PI * scene[0].materials[surface.instance].ambient
 

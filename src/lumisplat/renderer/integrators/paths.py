@@ -96,7 +96,7 @@ class PathIntegrator:
         return self._layers.images(plan)
 
     def _begin(self, plan: FramePlan, hits: PrimaryHits) -> PathData:
-        """Starts one path per ray."""
+        """Returns a new path for each camera ray."""
         paths = self._paths(plan, 0, hits.count)
         self._launcher.run_banded(kernels.begin_paths, hits.count, self._row("paths0", PathData, paths))
         return paths

@@ -15,13 +15,14 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 SHADOW_RAY_FIELDS = ("spawn_point", "spawn_t_min", "geometric_normal", "smooth_height")
-"""Fields of interactions that only shadow rays need."""
+"""Fields of `Interactions` that only shadow rays need; frames without them leave the arrays empty."""
 
 ROUGH_GLASS_FIELDS = {"transmitted", "thin_walled", "metallic", "metal"}
-"""Fields of interactions that only rough glass needs."""
+"""Fields of `Interactions` that only rough glass needs; frames without it leave the arrays empty."""
 
 LAYER_FIELDS = {"rescattered", "coat", "coat_alpha", "sheen", "sheen_alpha", "sheen_curve"}
-"""Fields of interactions that only clearcoat, sheen and multiple scattering need."""
+"""Fields of `Interactions` that only clearcoat, sheen and multiple scattering need; the arrays are empty without them.
+"""
 
 RECEIVED_FIELDS = frozenset(
     {
@@ -40,7 +41,7 @@ RECEIVED_FIELDS = frozenset(
 
 
 class Surfaces:
-    """Evaluates the surfaces that rays hit, and makes a wave of the rays."""
+    """Evaluates the surfaces that rays hit, and returns the rays with their radiance as a wave (rays of one bounce)."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers

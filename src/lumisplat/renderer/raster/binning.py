@@ -44,7 +44,7 @@ class BinningCounts:
     nonfinite: int = 0
     """Number of Gaussians dropped because a projected value was NaN or infinite."""
     pairs: int = 0
-    """Number of (tile, Gaussian) pairs in the tile lists."""
+    """Number of (tile, Gaussian) pairs, the total length of the tile lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +251,7 @@ class BinningParallel(Binning):
 
 
 def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:
-    """Returns the binning of a device: chunked on the CPU, parallel on CUDA."""
+    """Returns the object that sorts and lists splats on a device: chunked on the CPU, parallel on CUDA."""
     return (BinningParallel if launcher.is_parallel else BinningChunked)(launcher, buffers)
 
 

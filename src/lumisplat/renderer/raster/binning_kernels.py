@@ -172,7 +172,7 @@ def scatter_tiles(
 
 @wp.kernel
 def fill_identity(start: int, order_out: wp.array[int]):
-    """Writes the order 0, 1, 2, ..."""
+    """Writes 0, 1, 2, ... to ``order_out``: the items in their original order."""
     i = start + wp.tid()
     order_out[i] = i
 

@@ -181,7 +181,7 @@ def tile_of_pair(tile_starts: wp.array[int], pair: int) -> int:
 
 @wp.kernel(module=PAIRS)
 def clear_nearest(start: int, nearest_out: wp.array[wp.int64]):
-    """Clears the nearest triangle of a pixel. One thread per pixel."""
+    """Per pixel: sets its nearest triangle to `NOTHING`."""
     nearest_out[start + wp.tid()] = NOTHING
 
 

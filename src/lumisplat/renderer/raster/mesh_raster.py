@@ -19,7 +19,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 @dataclass(frozen=True, slots=True)
 class _NearestTriangles:
-    """The nearest triangle at each pixel."""
+    """The nearest triangle at the centre of each pixel."""
 
     depth: DeviceArray
     """View depth of the triangle at each pixel; inf: no triangle."""
@@ -46,7 +46,7 @@ class MeshRaster:
         return [kernels.PAIRS if self._launcher.is_parallel else kernels.TILES, kernels] if has_meshes else []
 
     def draw(self, scene: DeviceScene) -> MeshPixels:
-        """Returns depth, colour and normal of the meshes at each pixel."""
+        """Rasterises the meshes, and returns their depth, colour and normal at each pixel."""
         nearest = self._find(scene)
         pixels = MeshPixels()
         pixels.depth_z = nearest.depth
@@ -117,7 +117,7 @@ class MeshRaster:
 
 
 def raster_meshes(scene: DeviceScene) -> RasterMeshes:
-    """Returns the meshes in the struct from which the raster kernels read alpha."""
+    """Returns the mesh instances, meshes and current sample in the struct from which raster kernels read alpha."""
     row = RasterMeshes()
     row.instances, row.splat_instance_count = scene.mesh_instances, scene.splat_instances.shape[0]
     row.meshes, row.sample = scene.mesh_data, scene.sample

@@ -51,7 +51,7 @@ class SplatTiles:
     starts: DeviceArray
     """Index in ``items`` of each tile's first entry; the last element is the total number of entries."""
     items: DeviceArray
-    """Indices in ``splats``, tile after tile."""
+    """Indices in ``splats`` of the splats that each tile lists, tile after tile."""
 
 
 class SplatRaster:
@@ -81,7 +81,7 @@ class SplatRaster:
         return [*modules, splat_kernels, *self._binning.modules()]
 
     def project(self, scene: DeviceScene) -> ProjectedSplats:
-        """Projects all Gaussians of the scene."""
+        """Projects all Gaussians of the scene to ellipses in the image."""
         count = scene.gaussian_count
         splats = ProjectedSplats(
             self._buffers.get("raster.splats", Splat, count),

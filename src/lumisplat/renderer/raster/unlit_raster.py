@@ -22,7 +22,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 @dataclass(frozen=True, slots=True)
 class DrawnSplats:
-    """Splats and meshes from which a frame was composited."""
+    """Splats and meshes from which a frame was composited, kept for the backward pass."""
 
     splats: ProjectedSplats
     tiles: SplatTiles
@@ -32,7 +32,7 @@ class DrawnSplats:
 
 
 class UnlitRaster:
-    """Draws frames that need no samples. On CUDA, a recorded CUDA graph is replayed.
+    """Draws unlit frames of sorted splats and meshes in one pass, without samples. CUDA replays a recorded graph.
 
     Args:
         launcher: Runs the kernels.
@@ -76,7 +76,7 @@ class UnlitRaster:
         return pixels
 
     def sum_splats(self, scene: DeviceScene, drawn: DrawnSplats, sums: GaussianHits) -> None:
-        """Sums values of the drawn splats per pixel, like `SplatRaster.sum_splats`."""
+        """Sums colours and normals of the drawn splats per pixel, like `SplatRaster.sum_splats`."""
         self._splats.sum_splats(scene, drawn.tiles, drawn.meshes, sums)
 
     def _replay(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:

@@ -69,7 +69,7 @@ class UnscentedRaster:
         return [kernels, blended, *self._binning.modules(), *meshes]
 
     def begin_frame(self, camera: Camera) -> None:
-        """Writes the settings that depend on a frame's camera."""
+        """Uploads the settings again, because some depend on the frame's camera."""
         self._table["field"] = image_field(camera)
         assign_table(self._settings, self._table)
 

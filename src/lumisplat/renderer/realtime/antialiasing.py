@@ -27,7 +27,7 @@ class Antialiasing:
         return [kernels]
 
     def reset(self) -> None:
-        """Drops the means of earlier frames."""
+        """Drops the images averaged over earlier frames."""
         self._has_history = False
 
     def average(

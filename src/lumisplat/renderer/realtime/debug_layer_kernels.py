@@ -115,6 +115,6 @@ def list_surfaces(
 
 @wp.kernel
 def draw_cells(start: int, numbers: wp.array[int], image_out: wp.array[wp.vec3]):
-    """Per ray: writes the number of the cache cell at the ray's pixel."""
+    """Per ray: writes the identifying hash of the radiance-cache cell at the ray's pixel."""
     i = start + wp.tid()
     image_out[i] = wp.vec3(float(numbers[i]))

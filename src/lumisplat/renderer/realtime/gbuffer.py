@@ -27,7 +27,7 @@ class PixelSurfaces:
 
 
 class GBuffer:
-    """Stores the surfaces at the pixels of two frames."""
+    """Stores the splat and mesh surfaces at the pixels of this frame and of the previous one."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers

@@ -61,7 +61,7 @@ class IndirectLight:
         return [*self._rays.modules(plan), kernels, *self.probes.modules(), *self.cache.modules()]
 
     def reset(self) -> None:
-        """Begins a new sequence of frames."""
+        """Begins a new sequence of frames: drops the radiance in screen probes and in the radiance cache."""
         self.cache.reset()
         self.probes.reset()
 
@@ -184,7 +184,7 @@ class SecondaryHits:
 
 
 class SecondaryRays:
-    """Traces and shades rays that leave surfaces."""
+    """Traces rays that leave surfaces, and samples direct light where they hit others."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, shadows: ShadowRays) -> None:
         self._launcher, self._buffers, self._tracer, self._shadows = launcher, buffers, tracer, shadows

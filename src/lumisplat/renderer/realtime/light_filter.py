@@ -36,7 +36,7 @@ class LightFilter:
         return [kernels]
 
     def reset(self) -> None:
-        """Drops the means of earlier frames."""
+        """Drops the light averaged over earlier frames."""
         self._has_history = False
 
     def filter(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> FilteredLight:

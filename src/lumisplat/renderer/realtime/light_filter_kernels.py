@@ -107,7 +107,7 @@ def with_tap(history: PixelHistory, weight: float, pixel: int, image: LightHisto
 
 @wp.func
 def scaled(history: PixelHistory, factor: float) -> PixelHistory:
-    """Multiplies all values of a history by a factor."""
+    """Returns a pixel's history with all values, including its weight, multiplied by a factor."""
     history.frames *= factor
     history.diffuse *= factor
     history.glossy *= factor
@@ -269,7 +269,7 @@ def share_inside(change: LightChange, held: float) -> float:
 
 @wp.func
 def no_change() -> LightChange:
-    """Returns statistics that contain no pixel yet."""
+    """Returns the initial statistics of a change of light, which contain no pixel yet."""
     change = LightChange()
     change.lowest = wp.inf
     return change

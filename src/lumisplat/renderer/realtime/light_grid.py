@@ -18,7 +18,7 @@ from lumisplat.runtime.primitives import prefix_sum, sort_pairs
 
 
 class LightGrids:
-    """Chooses lights for the grid cells that contain surfaces."""
+    """Chooses a few of many lights for each world-space grid cell that contains surfaces."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -65,7 +65,7 @@ class LightGrids:
         return keys, device_array(ends)
 
     def _order(self, count: int) -> DeviceArray:
-        """Returns the array that holds the ray index of each sorted key."""
+        """Returns the array of ray indices, sorted like the keys of the grid cells."""
         return self._get("order", wp.int32, 2 * count)
 
     def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:

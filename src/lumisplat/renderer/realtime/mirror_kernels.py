@@ -166,6 +166,6 @@ def add_samples(
 
 @wp.kernel
 def subtract(start: int, wave: wp.array[WaveData], before: wp.array[wp.vec3], difference_out: wp.array[wp.vec3]):
-    """Per ray: writes the ray's radiance minus ``before``."""
+    """Per ray: writes its radiance minus ``before``, the part that reflections and refractions added."""
     i = start + wp.tid()
     difference_out[i] = wave[0].radiance.light[i] - before[i]

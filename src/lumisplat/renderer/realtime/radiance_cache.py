@@ -40,7 +40,7 @@ one more bounce of light, and a look-up costs much less than a ray."""
 _log = logging.getLogger("lumisplat")
 
 HISTORY_CUDA, HISTORY_CPU = 16, 32
-"""Default number of frames over which a cell averages, on CUDA and on the CPU."""
+"""Default number of frames over which a cell of the radiance cache averages: 16 on CUDA, 32 on the CPU."""
 
 _STAGE = "cache"
 
@@ -265,7 +265,7 @@ class RadianceCache:
                 )
 
     def _per_tile(self, name: str) -> DeviceArray:
-        """Returns an array with one integer for each tile."""
+        """Returns a scratch array called ``name`` with one integer for each tile."""
         return self._get(name, wp.int32, self._config.tiles)
 
     def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:
@@ -273,10 +273,10 @@ class RadianceCache:
 
 
 _CELL_FIELDS = ("frames", "updated", "position", "normal", "extent")
-"""Names of the tile arrays that have one element for each cell."""
+"""Fields of CacheTiles that have one element for each cell of a tile."""
 
 _LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS} | dict.fromkeys(_CELL_FIELDS, TILE_CELLS)
-"""Number of elements per tile in each array; 1 for arrays that are not listed."""
+"""Number of elements per tile in each array of CacheTiles; 1 for arrays that are not listed."""
 
 
 def _allocated_tiles(buffers: Buffers, capacity: int) -> CacheTiles:

@@ -75,7 +75,7 @@ def find_cells(
 
 @wp.kernel
 def gather_keys(start: int, keys: wp.array[wp.int64], order: wp.array[int], keys_out: wp.array[wp.int64]):
-    """Writes the tile keys of samples in sorted order."""
+    """Per sample, in sorted order: writes the key of its tile."""
     i = start + wp.tid()
     keys_out[i] = keys[order[i]]
 
@@ -274,7 +274,7 @@ def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
 
 @wp.func
 def filled_cell(tiles: CacheTiles, slot: int, number: int) -> int:
-    """Returns the cell with index ``number`` among the filled cells of a tile."""
+    """Returns the index in its tile of filled cell ``number``, counting only the tile's filled cells."""
     cell = int(-1)
     while number >= 0:
         cell += 1
@@ -358,10 +358,10 @@ def add_bounces(
     radiance: wp.array[wp.vec3],
     tiles: CacheTiles,
 ):
-    """Adds the radiance of a cell's rays to its previous mean; the first ray of the cell does the work of all.
+    """Per cell: adds the radiance of its rays to its previous mean; the thread of the cell's first ray does it.
 
-    The mean over cosine-weighted rays is the irradiance divided by pi. Rays are skipped if another tile has taken the
-    slot of their tile since they started.
+    The mean over cosine-weighted rays is the irradiance divided by pi. Rays of evicted tiles, whose slot another tile
+    has taken since, are skipped.
     """
     i = start + wp.tid()
     if points.is_active[i] and points.ray[i] == 0 and tiles.bounced[points.slot[i]] > 0:
@@ -414,7 +414,7 @@ def find_new_tiles(start: int, frame: int, samples: SortedSamples, tiles: CacheT
 def list_new_tiles(
     start: int, samples: SortedSamples, is_new: wp.array[int], ends: wp.array[int], keys_out: wp.array[wp.int64]
 ):
-    """Writes the keys of the tiles that do not exist yet, ascending."""
+    """Writes the keys of the tiles that samples need but that do not exist yet, ascending."""
     i = start + wp.tid()
     if is_new[i] == 1:
         keys_out[ends[i] - 1] = samples.keys[i]

@@ -127,7 +127,7 @@ def place_in_tiles(
     adaptive_before: wp.array[int],
     probes_out: ProbeData,
 ):
-    """Per tile: places the probe that every tile has."""
+    """Per tile (square of pixels): places its regular probe on the surface of one of its pixels."""
     tile = start + wp.tid()
     place = choose_pixel_in_tile(tile, grids[0], cameras[0], cameras_before[0], surfaces, before, adaptive_before)
     set_probe(tile, place.pixel, place.source, grids[0], cameras[0], surfaces, before, probes_out)
@@ -307,7 +307,7 @@ def add_samples(
 
 @wp.kernel
 def outdate_cells(start: int, share: float, cells_inout: ProbeCells):
-    """Per probe cell: multiplies the weight of the cell's means by ``share``."""
+    """Per probe cell (direction): multiplies the weight of its mean radiance by ``share``, as light has changed."""
     k = start + wp.tid()
     cells_inout.samples[k] = share * cells_inout.samples[k]
 

@@ -155,7 +155,7 @@ class ScreenProbes:
 
     @property
     def ray_count(self) -> int:
-        """Number of rays that probes send per frame."""
+        """Number of rays that probes send per frame, one for each cell (direction) of the probes that are updated."""
         return self._refreshed * self._cell_count
 
     def _allocate(self, size: tuple[int, int]) -> None:

@@ -57,7 +57,7 @@ def matte(interaction: Interaction) -> Interaction:
 
 @wp.kernel
 def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, rays_out: RayData):
-    """Per ray: sets the ray's radiance to black, and its hit to none."""
+    """Per secondary ray: clears its hit, its radiance and its light sample, and deactivates its shadow ray."""
     i = start + wp.tid()
     rays_out.is_active[i] = False
     samples_out.is_active[i] = False

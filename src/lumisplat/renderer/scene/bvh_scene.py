@@ -33,14 +33,14 @@ class SplatSets(Enum):
 
     ALL = "all"
     CAPTURED = "captured"
-    """Sets that emit their captured colours."""
+    """Splat sets that emit their captured colours."""
     RELIT = "relit"
-    """Sets that are relit: all sets that do not emit their captured colours."""
+    """Splat sets that are relit, which are all that do not emit their captured colours."""
     SHADOW_CATCHERS = "shadow_catchers"
-    """Shadow catchers, a subset of the captured sets."""
+    """Splat sets that are shadow catchers; they are also among the sets that emit captured colours."""
 
     def has(self, instance: SplatInstance) -> bool:
-        """Returns whether an instance is in the subset."""
+        """Returns whether the set of a splat instance belongs to the subset."""
         if self is SplatSets.SHADOW_CATCHERS:
             return instance.shadow_catcher
         return self is SplatSets.ALL or is_relit(instance) == (self is SplatSets.RELIT)

@@ -35,7 +35,7 @@ EMITTER_FLOOR = 0.05
 which a Gaussian counts, as a fraction of the capture's mean."""
 
 EMITTER_GAUSSIANS = 16_384
-"""Largest number of a capture's Gaussians from which boxes are computed."""
+"""Largest number of an emissive capture's Gaussians that are read to compute the boxes around it."""
 
 EMITTER_RECEIVERS = 1024
 """Largest number of triangles or Gaussians of a lit object that are sampled to decide whether a capture counts as a
@@ -46,7 +46,7 @@ Result = TypeVar("Result")
 
 
 class Boxes(NamedTuple):
-    """K boxes around parts of a capture, in object space."""
+    """K oriented boxes around parts of a capture that is sampled as a light, in object space."""
 
     centers: Doubles
     """Centre of each of K boxes, shape (K, 3)."""
@@ -55,7 +55,7 @@ class Boxes(NamedTuple):
     halves: Doubles
     """Half edge lengths of each of K boxes, shape (K, 3)."""
     powers: Doubles
-    """Approximate luminance times area of each of K boxes, shape (K,)."""
+    """Approximate power of each of K boxes, luminance times area of its Gaussians, shape (K,)."""
 
 
 class CapturedEmitters:

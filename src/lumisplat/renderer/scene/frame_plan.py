@@ -109,7 +109,8 @@ class FramePlan:
     """Passes that a frame runs, computed from settings and scene."""
 
     is_lit: bool
-    """True if lights illuminate reflecting surfaces."""
+    """True if the frame is lit, by ``RenderConfig.lighting`` or the scene's default; False: captured colours and base
+    colours are shown as they are."""
     visibility: Visibility
     """Whether camera rays' hits (primary hits) are found by rasterisation or by ray tracing."""
     is_unscented: bool
@@ -123,7 +124,7 @@ class FramePlan:
     casts_shadows: bool
     """True if shadow rays are traced: some light casts shadows, and some object can block it."""
     splat_shadows: SplatShadows
-    """Kinds of surfaces whose shadow rays splat sets may block."""
+    """Surfaces (reflecting surfaces, shadow catchers) on which splat sets may cast shadows."""
     is_sampled: bool
     """True if images are means over samples of an integrator; False if `UnlitRaster` composites an unlit frame
     directly.
@@ -154,7 +155,7 @@ class FramePlan:
     has_media: bool
     """True if rays refract into meshes and therefore store which meshes they are inside."""
     absorbs: bool
-    """True if the medium inside a mesh absorbs light."""
+    """True if some mesh contains a medium that absorbs light."""
     has_coatings: bool
     """True if surfaces may have clearcoat, sheen, or compensation of multiple scattering."""
     has_rough_glass: bool
@@ -168,7 +169,7 @@ class FramePlan:
     has_emissive_captures: bool
     """True if some splat set emits its captured colours."""
     relights: bool
-    """True if some splat set is relit."""
+    """True if some splat set is relit: it reflects lights and hides its captured colours."""
     mixes_sets: bool
     """True if the scene has both emissive captures and relit sets, whose radiance is accumulated separately."""
     has_mean_surface: bool
@@ -363,7 +364,7 @@ def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> 
 
 
 def is_visible(light: Light) -> bool:
-    """Returns whether paths can hit a light as an object of the scene."""
+    """Returns whether paths can hit a light as an object: an enabled, visible area light."""
     return isinstance(light, AreaLight) and light.enabled and light.visible
 
 

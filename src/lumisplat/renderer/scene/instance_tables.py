@@ -91,12 +91,15 @@ def hit_distance_of(instance: SplatInstance, config: RenderConfig, *, is_lit: bo
 
 
 def is_antialiased(gaussians: Gaussians, antialiasing: Antialiasing) -> bool:
-    """Returns whether a set's Gaussians are antialiased, given the setting."""
+    """Returns whether a set's Gaussians are antialiased: for ``AUTO`` as they were trained, else by the setting."""
     return antialiasing is Antialiasing.ON or (antialiasing is Antialiasing.AUTO and gaussians.antialiased)
 
 
 def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
-    """Returns the standard deviation, in pixel widths, by which rays widen a set's Gaussians against aliasing."""
+    """Returns the standard deviation, in pixel widths, by which rays widen a set's Gaussians (``dilation``).
+
+    It is 0 for Gaussians that count as antialiased, whose opacities were compensated in training.
+    """
     return 0.0 if is_antialiased(gaussians, config.trace.antialiasing) else float(np.sqrt(config.trace.dilation))
 
 
@@ -134,7 +137,7 @@ def mesh_instance_table(
 
 
 def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, plan: FramePlan) -> None:
-    """Writes the fields that are equal for all instances of a mesh."""
+    """Writes those fields of a mesh instance's row that are equal for all instances of its mesh."""
     mesh, material = instance.mesh, instance.mesh.material
     row["face_first"] = assets.face_first(mesh)
     row["has_normals"] = mesh.normals is not None

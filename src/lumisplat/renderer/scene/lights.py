@@ -56,7 +56,7 @@ ENVIRONMENT_SHARE_MIN = 4
 1 / `ENVIRONMENT_SHARE_STEPS`."""
 
 WHITE = np.ones((1, 1, 3), dtype=np.float32)
-"""Image of an environment of constant colour."""
+"""White image of one pixel, for an environment of constant colour."""
 _KINDS: dict[type, int] = {
     LightPoint: LIGHT_POINT,
     LightSphere: LIGHT_POINT,
@@ -69,7 +69,7 @@ _KINDS: dict[type, int] = {
 
 
 class LightTable:
-    """The scene's lights as kernels read them."""
+    """Table of the scene's lights on the device, one row per enabled light."""
 
     def __init__(self) -> None:
         self.lights: DeviceArray

@@ -83,7 +83,7 @@ def absorbs(instance: MeshInstance) -> bool:
 
 
 _AS_CAPTURED = MaterialSimple()
-"""Material assumed for a splat set that has none."""
+"""Material of a splat set that has none: it emits its captured colours."""
 
 
 def material_of(instance: SplatInstance) -> Material:
@@ -183,7 +183,7 @@ def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) 
 
 
 def fill_layers(row: Any, material: MaterialPbr) -> None:
-    """Fills the fields for clearcoat and sheen, which all material structs have."""
+    """Fills the fields for clearcoat and sheen in a material's row; all material structs have these fields."""
     row["coat"] = material.clearcoat
     row["coat_alpha"] = max(material.clearcoat_roughness, COAT_ROUGHNESS_MIN) ** 2
     if any(material.sheen_color):

@@ -33,13 +33,13 @@ CHANGED_HISTORY_WEIGHT = 0.7
 three frames."""
 
 CHANGED_FRAMES = 8
-"""Number of frames for which cached lighting fades after lights change."""
+"""Number of frames for which the weight of cached lighting is reduced after lights change."""
 
 MOVED_HISTORY_WEIGHT = 0.8
 """Factor on the weight of cached lighting in each frame after lit objects move."""
 
 MOVED_FRAMES = 16
-"""Number of frames for which cached lighting fades after objects move."""
+"""Number of frames for which the weight of cached lighting is reduced after objects move."""
 
 CHANGED_STRENGTH = 2.0
 """Ratio of a light's strengths in two consecutive frames above which the change counts as sudden, like a new light."""
@@ -220,7 +220,7 @@ class LightState:
     """Type of each light, and size and emission of each emissive mesh: if they differ, a light appeared or
     disappeared."""
     strengths: list[npt.NDArray[np.float64]]
-    """Strength of each light by channel, shape (3,) each."""
+    """Colour times intensity of each light, by channel, shape (3,) each."""
     rest: Sequence[object]
     """Everything else that determines lighting: fields of lights except strength, transforms of emissive objects,
     materials."""
@@ -287,7 +287,7 @@ def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
 
 
 def strength_of(light: Light) -> npt.NDArray[np.float64]:
-    """Returns the strength of a light by channel, shape (3,)."""
+    """Returns colour times intensity of a light, by channel, shape (3,)."""
     return np.asarray(light.color, np.float64) * light.intensity
 
 
@@ -313,7 +313,7 @@ def in_order(lights: Sequence[Light]) -> list[Light]:
 
 
 def values_of(light: Light) -> list[object]:
-    """Returns the values of a light's fields for comparison."""
+    """Returns a light's fields as values that can be compared with those of another frame."""
     return [comparable(getattr(light, field.name)) for field in fields(light)]
 
 

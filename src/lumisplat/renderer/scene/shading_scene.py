@@ -66,7 +66,7 @@ class ShadingTables:
 
     @property
     def graph_key(self) -> object:
-        """Values of lights that determine which kernels run, and for which lights."""
+        """Values of the lights on which the launches of a frame depend; a CUDA graph recorded with others is stale."""
         return self.has_headlight, [(isinstance(light, LightEnvironment), light.casts_shadow) for light in self.lights]
 
     def sync(

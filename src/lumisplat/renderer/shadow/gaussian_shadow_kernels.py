@@ -102,7 +102,10 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         skips: wp.array[wp.bool],
         light_inout: wp.array[wp.vec3],
     ):
-        """Multiplies the light of each ray by the transmittance of the Gaussians up to its limit."""
+        """Multiplies each ray's light by the transmittance of all Gaussians before ``limits``.
+
+        Rays with ``skips`` pass through shadow catchers.
+        """
         first = (start + wp.tid()) * LANES
         config = settings[0]
         key = shadow_key(config)
@@ -174,7 +177,10 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         skips: wp.array[wp.bool],
         light_inout: wp.array[wp.vec3],
     ):
-        """Multiplies the light of each ray by the transmittance of the nearest Gaussians up to its limit."""
+        """Multiplies each ray's light by the transmittance of the nearest Gaussians before ``limits``.
+
+        Rays with ``skips`` pass through shadow catchers.
+        """
         first = (start + wp.tid()) * LANES
         config = settings[0]
         waiting = ends_of(rays, limits, first)

@@ -39,7 +39,7 @@ EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 
 @struct
 class MeshShadowRay:
-    """A shadow ray through meshes, in world space."""
+    """A shadow ray that is traced through meshes, in world space."""
 
     origin: wp.vec3
     direction: wp.vec3
@@ -47,7 +47,7 @@ class MeshShadowRay:
     is_opaque: bool
     """True if glass blocks the ray instead of transmitting it."""
     media: wp.vec4i
-    """Participating media around the ray's origin, encoded as in ``Boundary``."""
+    """Meshes of glass that the ray's origin is inside, encoded as in ``Boundary``."""
 
 
 @struct

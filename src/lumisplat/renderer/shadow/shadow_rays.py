@@ -205,7 +205,7 @@ class StochasticBvh:
         self._assets: DeviceArray | None = None
         self._is_fresh = False
         self._rays = 0
-        """Number of rays traced in the current sample so far."""
+        """Number of shadow rays traced in the current sample so far."""
 
     def begin_sample(self) -> None:
         """Begins another sample: BVHs shrunk for the previous sample are no longer used."""

@@ -128,7 +128,7 @@ class PathGaussians:
         bounced: bool,
         dark: DarkenedCaptures | None,
     ) -> GaussianHits:
-        """Returns the blended radiance of emissive captures on each ray up to its limit."""
+        """Returns the radiance of emissive captures, blended in order, on each ray up to its limit."""
         marked = dark.marked if dark else None
         hits = self._blended.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.CAPTURED, marked=marked)
         if dark is None:

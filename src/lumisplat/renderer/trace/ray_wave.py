@@ -14,7 +14,7 @@ class CarriedState:
     """What the rays of a wave inherit from the rays that they were reflected or refracted from."""
 
     weights: DeviceArray | None = None
-    """Weight of each ray in the colour of its parent ray, as in `WaveData`."""
+    """Weight with which each ray's radiance is added to the ray that it branched off; None: camera rays."""
     media: DeviceArray | None = None
     """Media (meshes of glass) that each ray is inside; None: the scene has no media."""
     sees_environment: DeviceArray | None = None
@@ -33,9 +33,9 @@ class RayWave:
     """Number of reflections or refractions that the rays have behind them; 0: rays from the camera or from a caller."""
     hits: PrimaryHits
     row: WaveData
-    """Arrays of the wave in a struct, for host code."""
+    """The wave's arrays as a struct, for host code."""
     data: DeviceArray
-    """Arrays of the wave as a table with one row, for kernels."""
+    """The wave's arrays as a table with one row, for kernels."""
 
     @property
     def count(self) -> int:
@@ -53,9 +53,9 @@ class LightImages:
     """Images of the camera rays' light by light source and by layer: linear, each an array of one vec3 per ray."""
 
     direct: list[DeviceArray] = field(default_factory=list[DeviceArray])
-    """Direct light of each light without shadows."""
+    """For each light, the radiance that surfaces at the first hits reflect from it, without shadows."""
     arrived: list[DeviceArray] = field(default_factory=list[DeviceArray])
-    """Direct light of each light with shadows."""
+    """For each light, the radiance that surfaces at the first hits reflect from it, with shadows."""
     layers: dict[str, DeviceArray] = field(default_factory=dict[str, DeviceArray])
     """Images of the frame's layers (AOVs) that only the integrator knows, such as direct_diffuse or bounces, by name.
     """

@@ -47,7 +47,7 @@ class Level:
     begins: DeviceArray
     """Index of the first item (Gaussian, triangle or instance) of each node of the BVHs."""
     ends: DeviceArray
-    """Index after the last item of each node of the BVHs."""
+    """Index after the last item (Gaussian, triangle or instance) of each node of the BVHs."""
     edges: DeviceArray
     """First item of each child of each node of the level, and the end of the last child; output of the split."""
     inner: DeviceArray
@@ -191,7 +191,7 @@ class HostBoxTree(BoxTree):
         self.order = np.arange(len(lows), dtype=np.int32)
         """Index of the box of each leaf, in the order of the BVHs' leaves."""
         self.items = self._buffers.upload("items", wp.int32, self.order)
-        """Device copy of ``order``."""
+        """Copy of ``order`` on the device: index of the box of each leaf."""
         if launcher.is_parallel:
             self.order, codes = coded_order(lows, highs, counts)
             self.items.assign(self.order)
