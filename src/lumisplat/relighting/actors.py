@@ -31,7 +31,7 @@ PlacedActor = SplatInstance | MeshInstance
 
 
 def placed_actors(actors: Iterable[PlacedActor | Gaussians | Mesh]) -> list[PlacedActor]:
-    """Converts actors to instances; a `Gaussians` or `Mesh` without an instance is placed at its origin.
+    """Converts actors to instances; a bare `Gaussians` or `Mesh` becomes an instance at its stored ``origin``.
 
     Raises:
         SceneError: ``actors`` is no list, or holds something other than Gaussians, meshes and instances.

@@ -22,8 +22,8 @@ from lumisplat.relighting.irradiance import (
 from lumisplat.scene.ops.neighbours import Pairs
 
 CELL_REACH = 1.3
-"""Two environment cells are neighbours if their centres are nearer than this times the sum of their radii, each the
-radius of a disc of the cell's solid angle."""
+"""Two environment cells are neighbours if the angle between their centres is below this times the sum of their angular
+radii, each that of a disc of the cell's solid angle."""
 
 RANDOM_PAIR_SHARE = 0.25
 """Number of random pairs of Gaussians per pair of neighbours in the albedo fit: surfaces of similar chromaticity often

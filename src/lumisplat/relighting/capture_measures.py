@@ -43,16 +43,17 @@ HIT_ALPHA_MIN = 0.5
 
 HAZE_AT_ONCE_MAX = 0.6
 """A capture of isotropic Gaussians has no surface if `SurfaceMeasure.at_once` is below this. It is 0.9 to 1 in
-captures of others and in baked ones, 0.39 to 0.99 in captures trained for some minutes, and 0 to 0.56 in balls of haze
-(docs/adr/0079-delighting-refuses-captures-without-surfaces.md)."""
+captures that others trained and in baked ones, 0.39 to 0.99 in captures trained for some minutes, and 0 to 0.56 in
+balls of haze (docs/adr/0079-delighting-refuses-captures-without-surfaces.md)."""
 
 SURFACE_SHARP = 0.8
-"""A capture has no clear surface if `SurfaceMeasure.at_once` is below this. It is 0.90 to 1 in captures of others, in
-Gaussians of meshes and in a fox trained with flatness, and 0.66 to 0.70 in foxes trained without."""
+"""A capture has no clear surface if `SurfaceMeasure.at_once` is below this. It is 0.90 to 1 in captures that others
+trained, in Gaussians made from meshes and in captures of the fox data set trained with flatness, and 0.66 to 0.70 in
+those trained without."""
 
 AGREEING_LEAST = 0.35
 """Value of `SurfaceMeasure.agreement` below which normals count as random. It is 0.333 to 0.340 in haze, 0.41 to 0.76
-in captures of others, 0.5 to 0.9 in foxes trained for some minutes."""
+in captures that others trained, 0.5 to 0.9 in captures of the fox data set trained for some minutes."""
 
 AGREEING_COUNT = 300
 """Smallest number of Gaussians whose normals are compared: with fewer, neighbours are far from each other and surfaces

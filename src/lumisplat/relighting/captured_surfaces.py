@@ -282,7 +282,7 @@ _EVEN_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 class Trace(NamedTuple):
-    """Result of adding one light to the regression of the surfaces' luminance: does the light shine?"""
+    """Result of the test whether one more light shines: how well it explains the luminance of the surfaces."""
 
     significance: float
     """Regression coefficient of the light's irradiance over its standard error; negative if lit surfaces are darker."""

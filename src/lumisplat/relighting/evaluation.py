@@ -210,9 +210,9 @@ def evaluate_materials(
         environment: Estimated environment of the training images, linear radiance, shape (H, W, 3), with the axes of
             `LightEnvironment`; None: it was not estimated.
         config: Settings of the relit renders. None: ``Pipeline.HYBRID``, which has shadows and no bounces; if local
-            lights light a room, ``Pipeline.PATH``, which has both. In any case there is no background, and samples go
-            through the centres of pixels, because Gaussians were trained so and jitter would blur them again. Rays
-            without a footprint, as for antialiased captures, do use jitter.
+            lights light a room, ``Pipeline.PATH``, which has both. Frames have no background. If the pipeline
+            rasterises or rays have a footprint, samples go through pixel centres, as in training; only rays without a
+            footprint, as for antialiased captures, are jittered.
         samples: Samples per pixel of relit images. None: the number in ``config``, or 64 if ``config`` sets none, so
             that noise is a small part of the error (docs/guide/materials.md#noise).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
@@ -601,6 +601,6 @@ def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[fl
 
 
 def over_black(renderer: Renderer, scene: Scene, camera: Camera) -> FloatArray:
-    """Renders display colours over black, shape (H, W, 3), blended as the images of the data set are."""
+    """Renders sRGB colours times alpha, shape (H, W, 3): blended over black as the data set's images are."""
     pixels = renderer.render(scene, camera).pixels_srgb()
     return pixels[..., :3] * pixels[..., 3:]

@@ -1,4 +1,4 @@
-"""Traces the light that arrives at each Gaussian of a capture, at points where the Gaussian is visible.
+"""Traces the light that arrives at each Gaussian of a capture, on the side from which the Gaussian is visible.
 
 Most of that light is visible in the capture itself; the rest comes from the environment or from clipped emitters.
 """
@@ -178,7 +178,7 @@ def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
 
 
 class IncidentRays:
-    """Traces rays from the N Gaussians of a capture into the capture, as light paths do.
+    """Traces rays from the N Gaussians of a capture through the capture, to gather the light that arrives at them.
 
     Args:
         capture: The capture.

@@ -1,4 +1,4 @@
-"""Estimates the local lights of a captured scene from photometric evidence and local contrast.
+"""Estimates the local lights of a capture: bright Gaussians that stand out, and whose light surfaces show.
 
 Mir et al. (2026, section 3.1) name the cues without formulas. Ours are in docs/method/relighting.md#light-estimation,
 and docs/adr/0014-lights-from-bright-gaussians.md has the reasons.
@@ -94,7 +94,8 @@ class LightEstimate:
     """The k estimated point lights, highest score first, and the evidence for each."""
 
     lights: tuple[LightPoint, ...]
-    """Lights named ``estimated-1`` and so on; together they give the character the requested irradiance."""
+    """Lights named ``estimated-1`` and so on. The irradiances that they give at the character sum to
+    ``config.irradiance``."""
     scores: FloatArray
     """Score of each light: brightness, constancy over views and opacity of its Gaussian, times contrast, shape (k,)."""
     peakness: FloatArray

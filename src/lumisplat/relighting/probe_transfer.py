@@ -97,7 +97,7 @@ def relight(
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
-    """Averages the radiance of a probe over a lobe ``max(0, w . n)^q`` of directions w about each of N normals n.
+    """Averages a probe's radiance over a lobe ``max(0, w . n)^exponent`` of directions w about each of N normals n.
 
     The probe's mean is subtracted from the radiance and added to the average again, so that constant light has no
     rounding error. Source: docs/method/relighting.md#transfer-scale.
@@ -105,7 +105,7 @@ def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: Religh
     Args:
         probe: The probe.
         normals: World-space normals of any length, shape (N, 3).
-        config: Settings, whose ``gamma`` is ignored; None: the defaults.
+        config: Settings with the lobe's ``exponent``; ``gamma`` is ignored. None: the defaults.
 
     Returns:
         A factor per channel, 0 to ``scale_max``, shape (N, 3).

@@ -147,7 +147,7 @@ def _meshes(items: Iterable[MeshInstance | Mesh], name: str = "meshes") -> tuple
 
 
 def _instances(name: str, items: Iterable[object], asset: type[Any], instance: type[_Placed]) -> tuple[_Placed, ...]:
-    """Converts entries to ``instance`` objects; entries of type ``asset`` get one at their stored ``origin``."""
+    """Converts entries to ``instance`` objects; an ``asset`` is wrapped in one at its stored ``origin``."""
     placed: list[_Placed] = []
     for item in items_of(name, items):
         one = instance(cast("Any", item)) if isinstance(item, asset) else item
@@ -159,7 +159,7 @@ def _instances(name: str, items: Iterable[object], asset: type[Any], instance: t
 
 @frozen(weakref_slot=True)
 class Scene:
-    """Captures, meshes and lights to render. ``Gaussians`` and ``Mesh`` without an instance stand at their origin.
+    """Captures, meshes and lights to render. Bare `Gaussians` and `Mesh` objects stand at their stored ``origin``.
 
     Raises:
         SceneError: An entry of a list has the wrong type, two environments are enabled, or ``up`` is no direction.

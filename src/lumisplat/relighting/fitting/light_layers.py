@@ -36,7 +36,7 @@ tolerance for rounding."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitImage:
-    """An image to fit, in linear light, with its camera and a mask of the pixels that count."""
+    """An image to fit, in linear light, with its camera and a mask of the pixels that are fitted."""
 
     camera: Camera
     """Camera of the image, scaled to the image's width and height."""
@@ -362,7 +362,10 @@ def power_of(light: Light) -> Doubles:
 
 
 def with_power(light: Light, power: Doubles) -> Light:
-    """Returns the light with colour times intensity ``power``, brightest channel of the colour 1; 0 keeps it."""
+    """Returns the light with colour times intensity ``power``, brightest channel of the colour 1.
+
+    With power 0 the intensity becomes 0, and the colour stays.
+    """
     brightest = float(power.max())
     if brightest <= 0.0:
         return replace(light, intensity=0.0)

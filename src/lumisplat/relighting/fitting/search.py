@@ -85,7 +85,7 @@ def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
 
 
 def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
-    """Computes the derivatives of a candidate's modelled images, by central differences of renders."""
+    """Computes a candidate's `Slopes` by central differences of renders; exposures need none."""
     task = fitter.task
     powers = candidate.powers
     renders = [

@@ -22,14 +22,15 @@ from lumisplat.scene.ops.neighbours import morton_codes
 
 DECIMATE_NEIGHBOURS = 4
 """Number of next Gaussians along the Morton curve, in each direction, with which a Gaussian may merge. More make
-passes slower and concentrate merging where it is cheap: 8 are 0.3 dB worse on the biker."""
+passes slower and concentrate merging where it is cheap: 8 are 0.3 dB worse on a capture of a biker."""
 
 DECIMATE_COLOR_WEIGHT = 30.0
 """Weight of the squared colour difference of two Gaussians, display values, in the cost of merging them, relative to
 the growth of their covariance. Results stay within 0.3 dB from 10 to 100."""
 
 DECIMATE_OPACITY_MIN = 1e-9
-"""Lower bound of the opacity from which a Gaussian's mass in mixtures is computed: weights must not be 0."""
+"""Opacities are raised to at least this before the masses (mixture weights) of Gaussians are computed: no mass may be
+0."""
 
 ROWS, COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
 """Row (`ROWS`) and column (`COLUMNS`) in a symmetric 3 x 3 matrix of its six packed entries xx, xy, xz, yy, yz, zz."""

@@ -68,9 +68,9 @@ def select(
         opacity: Opacity, 0..1.
         scale_min: Smallest of the three standard deviations, scene units.
         scale_max: Largest of the three standard deviations, scene units.
-        x: Coordinate of the mean plus the capture's ``origin``, scene units; y and z likewise.
-        y: Coordinate of the mean, scene units.
-        z: Coordinate of the mean, scene units.
+        x: X coordinate of the mean plus the capture's ``origin``, scene units.
+        y: Y coordinate of the mean plus the capture's ``origin``, scene units.
+        z: Z coordinate of the mean plus the capture's ``origin``, scene units.
         red: Mean colour over all directions, display-referred, 0..1 or slightly outside.
         green: Mean colour, as for red.
         blue: Mean colour, as for red.
