@@ -34,12 +34,12 @@ LIGHT_SEARCH_STRAYS = 0.02
 captures have floaters far outside."""
 
 LIGHT_SEARCH_REACH = 1.5
-"""Radius of the search for lights around the character, relative to the scene's size (`capture_extent`): above 1,
-because lights hang at the scene's rim."""
+"""Radius of the search for lights around the character to be lit, relative to the scene's size (`capture_extent`):
+above 1, because lights hang at the scene's rim."""
 
 LIGHT_SEARCH_VIEWPOINTS = 0.1
-"""Distance from the character of four of the five viewpoints in which Gaussians are evaluated, relative to the scene's
-size: a person's width in a room of 3 m."""
+"""Distance from the character to be lit of four of the five viewpoints in which Gaussians are evaluated, relative to
+the scene's size: a person's width in a room of 3 m."""
 
 LIGHT_SEARCH_EMITTER = 1.0 / 12.0
 """Default largest size of a light source, relative to the scene's size: a lamp of 25 cm in a room of 3 m."""
@@ -76,8 +76,8 @@ LIGHT_SIGNIFICANCE = 4.0
 be a light. By chance, one of 64 candidates reaches it in one capture of 500."""
 
 LIGHT_DOUBT = 2.0
-"""Factor on the luminance variance that a candidate light must explain if it is level with or below the character, or
-hardly brighter than its surroundings."""
+"""Factor on the luminance variance that a candidate light must explain if it is level with or below the character to
+be lit, or hardly brighter than its surroundings."""
 
 LIGHT_ELSEWHERE = 0.6
 """Smallest ratio of the luminance variance that a light explains to the largest that a light at six positions beside
@@ -94,7 +94,7 @@ class LightEstimate:
     """The k estimated point lights, highest score first, and the evidence for each."""
 
     lights: tuple[LightPoint, ...]
-    """Lights named ``estimated-1`` and so on. The irradiances that they give at the character sum to
+    """Lights named ``estimated-1`` and so on. Their irradiances at the character to be lit sum to
     ``config.irradiance``."""
     scores: FloatArray
     """Score of each light: brightness, constancy over views and opacity of its Gaussian, times contrast, shape (k,)."""
@@ -115,11 +115,13 @@ class _Sizes:
     """Distances of the light search, scene units: from `LightEstimationConfig`, else multiples of the scene's size."""
 
     extent: float
-    """Configured search radius, else the distance from the character's centre within which 98 % of the means lie."""
+    """Configured search radius, else the distance from the centre of the character to be lit within which 98 % of the
+    capture's means lie."""
     radius: float
-    """Radius around the character's centre within which Gaussians may be lights."""
+    """Radius around the centre of the character to be lit within which Gaussians may be lights."""
     viewpoints: float
-    """Distance of the four outer viewpoints, from which Gaussians are evaluated, to the character's centre."""
+    """Distance from the centre of the character to be lit to the four outer viewpoints, from which Gaussians are
+    evaluated."""
     emitter: float
     """Largest size of a light source that counts as compact."""
     separation: float
@@ -141,7 +143,7 @@ class _Sizes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """The R brightest Gaussians around the character: possible positions of lights."""
+    """The R brightest Gaussians around the character to be lit: possible positions of lights."""
 
     rows: Rows
     """Index of each candidate Gaussian in the arrays of `Evidence`, shape (R,)."""
@@ -300,7 +302,7 @@ def splats_of(scene: object) -> tuple[SplatInstance, ...]:
 
 
 def capture_extent(worlds: list[Doubles], center: Doubles) -> float:
-    """Returns the distance from ``center`` within which all but `LIGHT_SEARCH_STRAYS` of the means lie."""
+    """Returns the distance from ``center`` within which 98 % of the world-space means ``worlds`` lie, scene units."""
     distances = np.concatenate([np.linalg.norm(world - center, axis=1) for world in worlds])
     return max(float(np.quantile(distances, 1.0 - LIGHT_SEARCH_STRAYS)), 1e-6)
 
@@ -360,7 +362,7 @@ _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """The N Gaussians of all splat instances within the search radius of the character, and their scores as lights."""
+    """The N Gaussians, of all instances, within the search radius of the character to be lit, scored as lights."""
 
     instances: Rows
     """Index of the splat instance to which each of the N Gaussians belongs, shape (N,)."""
@@ -369,9 +371,9 @@ class Evidence:
     means: Doubles
     """World-space means of the N Gaussians, shape (N, 3)."""
     distances: Doubles
-    """Distance of each Gaussian's mean to the character's centre, scene units, shape (N,)."""
+    """Distance of each Gaussian's mean to the centre of the character to be lit, scene units, shape (N,)."""
     colors: FloatArray
-    """Linear colour of each Gaussian viewed from the character's centre, shape (N, 3)."""
+    """Linear colour of each Gaussian viewed from the centre of the character to be lit, shape (N, 3)."""
     scores: FloatArray
     """Score of each Gaussian as a light, higher is brighter: compressed luminance times opacity, constancy over the
     five viewpoints and share of SH degree 0, shape (N,)."""
@@ -553,7 +555,7 @@ def _is_localised(shading: Shading, position: Doubles, trace: Trace, emitter: fl
 
 
 def _is_low(positions: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
-    """Returns which of R positions are less than one emitter size above the character, (R,).
+    """Returns which of R positions are less than one emitter size above ``center``, the character's, shape (R,).
 
     All are False where `ground_direction` is too short to tell what is down.
     """

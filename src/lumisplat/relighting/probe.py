@@ -360,11 +360,11 @@ def _fit(
 
 
 _PROBES_CACHED = 64
-"""Maximum number of probes that `ProbeCache` keeps: more than a scene has actors."""
+"""Maximum number of probes that `ProbeCache` keeps, more than a scene has actors; when full, it drops all."""
 
 
 class ProbeCache:
-    """Captures probes of a scene, and keeps the last `_PROBES_CACHED` by position, for actors that do not move.
+    """Captures probes of a scene, and caches up to `_PROBES_CACHED` by position, for actors that do not move.
 
     Args:
         scene: The scene without actors.
