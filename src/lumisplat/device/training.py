@@ -1,4 +1,4 @@
-"""Structs of training: parameters, optimiser steps, losses and images; and the weights of pixels."""
+"""Structs of training: parameters, optimiser steps, losses and images; also weights of pixels, and incident light."""
 
 import warp as wp
 
@@ -7,14 +7,14 @@ from lumisplat.device.structs import struct
 
 @struct
 class SplatParameters:
-    """Trained parameters of Gaussians in unbounded form, or their optimiser moments; one element for each Gaussian."""
+    """Trained parameters of Gaussians in unbounded form, or Adam's moments of them; one element for each Gaussian."""
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.vec4]
-    """Quaternions wxyz of any length above 0."""
+    """Rotation quaternions, scalar first, of any length above 0; they are normalised before use."""
     log_scales: wp.array[wp.vec3]
     logits: wp.array[float]
-    """Logits of the opacities."""
+    """Logits of the opacities: ``opacity = 1 / (1 + exp(-logit))``."""
     sh: wp.array[wp.vec3]
     """SH coefficients, ``sh_count`` consecutive elements for each Gaussian."""
     sh_count: int
@@ -22,50 +22,48 @@ class SplatParameters:
 
 @struct
 class StepRates:
-    """Step sizes and factors of one Adam step (Kingma and Ba 2015)."""
+    """Learning rates and other factors of one Adam step (Kingma and Ba 2015)."""
 
     means: float
     rotations: float
     log_scales: float
     logits: float
     sh: float
-    """Step size of the SH coefficient of degree 0."""
+    """Learning rate of the SH coefficients of degree 0; ``sh_rest``: of all others."""
     sh_rest: float
     sh_active: int
-    """Number of SH coefficients trained so far."""
+    """Number of SH coefficients per Gaussian that are trained by now; it grows with the active degree."""
     first_scale: float
     """Bias correction of the first moment, 1 / (1 - beta1^step); ``second_scale`` corrects the second moment."""
     second_scale: float
     by_opacity: float
-    """Derivative of the opacity regulariser with respect to each opacity; ``by_scale``: of the scale regulariser."""
+    """Gradient that the opacity regulariser adds to each Gaussian's opacity; ``by_scale``: the scale regulariser, to
+    scales."""
     by_scale: float
 
 
 @struct
 class NoiseData:
-    """Exploration noise added to positions (Kheradmand et al. 2024, equation 9)."""
+    """Settings of the random noise that training adds to positions, for exploration (Kheradmand et al. 2024, eq. 9)."""
 
     strength: float
-    """Factor of the noise, which is a standard normal vector times the covariance; it applies to transparent
-    Gaussians."""
+    """Factor of the noise, a standard normal vector times the covariance; opaque Gaussians get almost none."""
     iteration: int
     seed: wp.uint32
 
 
 @struct
 class SplatRecord:
-    """Statistics of each Gaussian collected between two densification steps."""
+    """Statistics of each Gaussian since the last densification step."""
 
     motion: wp.array[float]
-    """Sum over frames of the magnitude of the loss gradient by the splat's image position, in units of half the image
-    size.
-    """
+    """Sum over frames of the length of d loss / d image position, AbsGS style, in units of half the image size."""
     turns: wp.array[float]
-    """Sum over frames of the gradient of the surface losses by rotation of the Gaussian's normal.
+    """Sum over frames of the length of the surface losses' gradient with respect to rotating the Gaussian's normal.
 
-    Each term is multiplied by the number of pixels that the losses count."""
+    Each term is multiplied by the summed pixel weights of the loss, so that it does not depend on the image size."""
     frames: wp.array[float]
-    """Number of frames that showed the Gaussian."""
+    """Number of frames since the last densification step that showed the Gaussian."""
 
 
 @struct
@@ -73,90 +71,90 @@ class TargetImage:
     """A training image on the device, one element for each pixel."""
 
     color: wp.array[wp.vec3]
-    """Display-referred sRGB, composited over the background where it is transparent."""
+    """Colour of the training image, display-referred sRGB; where it is transparent, composited over the background."""
     weight: wp.array[float]
     """Weight of each pixel in the loss, 0..1; empty: all pixels count fully."""
     alpha: wp.array[float]
-    """Alpha that the frame is to have; empty: unknown."""
+    """Alpha that the rendered frame should have at each pixel; empty: the training image has no alpha."""
 
 
 @struct
 class LossGrid:
-    """Division of an image's pixels among the threads of loss kernels."""
+    """How loss kernels divide an image among threads: runs of adjacent pixels in a row."""
 
     width: int
     height: int
     run: int
-    """Adjacent pixels of a row that one thread processes."""
+    """Number of adjacent pixels of a row that one thread processes: a whole row on CPUs, one pixel on CUDA."""
 
 
 @struct
 class Exposure:
-    """Exposure of a training image: rendered colours are mapped to ``matrix * color + alpha * offset``."""
+    """Exposure correction of a training image: a rendered colour becomes ``matrix * color + alpha * offset``."""
 
     matrix: wp.mat33
     offset: wp.vec3
     background: wp.vec3
-    """Display-referred sRGB behind the Gaussians, which is not mapped."""
+    """Display-referred sRGB background behind the Gaussians, to which the correction is not applied."""
 
 
 @struct
 class SurfaceTerms:
-    """Weights of the surface losses, each normalised by the number of pixels."""
+    """Weights of the surface losses, divided by the sum of the pixel weights, and encoding of the depth they use."""
 
     normals: float
     depth: float
     middle: float
-    """View depth that the depth feature encodes as 0, scene units."""
+    """View depth, scene units, at which the encoded depth ``(depth - middle) * per_unit`` is 0."""
     per_unit: float
-    """Change of the depth feature for one scene unit of view depth."""
+    """Factor of the encoded depth ``(depth - middle) * per_unit``: 1 over the scene's extent."""
 
 
 @struct
 class SurfaceMaps:
-    """Surface losses of a frame and their derivatives, one element for each pixel."""
+    """For each pixel, the surface losses of normals and depths, and their derivatives."""
 
     terms: wp.array[wp.vec2]
-    """Loss terms of normals and of depths."""
+    """Each pixel's term in the loss of normals (x) and in the loss of depths (y)."""
     across: wp.array[wp.vec3]
-    """Derivatives with respect to the vector from the left to the right neighbour's surface point.
+    """d loss / d vector from the surface point of the pixel's left neighbour to that of its right neighbour.
 
-    ``down`` has the derivatives with respect to the vector from the upper to the lower neighbour's surface point.
+    ``down`` is the derivative with respect to the vector from the upper to the lower neighbour's surface point.
     """
     down: wp.array[wp.vec3]
     alpha: wp.array[float]
-    """Derivatives with respect to alpha."""
+    """d loss / d alpha of each pixel."""
 
 
 @struct
 class SmoothnessMaps:
-    """Normal smoothness losses of a frame and their derivatives, one element for each pixel."""
+    """For each pixel, the loss that keeps neighbouring normals similar, and its derivatives."""
 
     terms: wp.array[float]
-    """Loss terms."""
+    """Each pixel's term in the normal smoothness loss."""
     across: wp.array[wp.vec3]
-    """Derivatives with respect to the difference of normals between pixels of a row; ``down``: of a column."""
+    """d loss / d Sobel derivative of the normals along the row, at each pixel; ``down``: along the column."""
     down: wp.array[wp.vec3]
 
 
 @struct
 class LossMaps:
-    """Blurred maps of the SSIM loss, one element for each pixel."""
+    """Images blurred by the SSIM window, which are then overwritten by derivatives; one element for each pixel."""
 
     shown: wp.array[wp.vec3]
-    """Blurred frame; later the derivatives with respect to the frame's local mean."""
+    """Blurred rendered frame, then d loss / d blurred frame."""
     squared: wp.array[wp.vec3]
-    """Blurred squares of the frame; later the derivatives with respect to the blurred squares."""
+    """Blurred square of the rendered frame, then d loss / d blurred square."""
     product: wp.array[wp.vec3]
-    """Blurred products of frame and training image; later the derivatives with respect to the blurred products."""
+    """Blurred product of rendered frame and training image, then d loss / d blurred product."""
     target: wp.array[wp.vec3]
-    """Blurred training image."""
+    """Blurred training image; ``target_squared``: its blurred square."""
     target_squared: wp.array[wp.vec3]
 
 
 @struct
 class LossWeights:
-    """Weights of the image losses, each normalised by the number of pixel channels."""
+    """Weights of the image losses, divided by the sum of the pixel weights and, for colours, by 3 channels."""
 
     l1: float
     ssim: float
@@ -166,7 +164,7 @@ class LossWeights:
 
 @struct
 class GaussianMaterials:
-    """Dielectric materials of Gaussians, one element for each Gaussian."""
+    """Dielectric materials to be fitted, one element for each Gaussian."""
 
     means: wp.array[wp.vec3]
     normals: wp.array[wp.vec3]
@@ -179,7 +177,7 @@ class GaussianMaterials:
 
 @struct
 class DirectionalLight:
-    """Incident light on N Gaussians from K directions that sample the sphere, each standing for a solid angle."""
+    """Light arriving at each of N Gaussians from each of K directions, which sample the sphere evenly."""
 
     directions: wp.array[wp.vec3]
     """Unit directions towards the light, one for each of K directions."""
@@ -188,12 +186,12 @@ class DirectionalLight:
     environment: wp.array[wp.vec3]
     """Environment radiance from each of K directions, linear."""
     open: wp.array2d[float]
-    """Fraction, 0..1, of the environment's light from each of K directions that reaches each of N Gaussians, shape (N,
-    K)."""
+    """Fraction, 0..1, of the environment's light from direction k that nothing blocks before Gaussian i, shape (N, K).
+    """
     seen: wp.array2d[wp.vec3]
-    """Indirect radiance from each of K directions at each of N Gaussians, linear, shape (N, K).
+    """Linear radiance of the surfaces that block the environment from Gaussian i in direction k, shape (N, K).
 
-    It is the light of surfaces that block the environment."""
+    It is 0 where nothing blocks."""
     spread: float
     """Value added to the squared GGX alpha of highlights, so that they are wider than the spacing of the directions."""
 
@@ -205,7 +203,7 @@ class MaterialGradient:
     albedo: wp.array[wp.vec3]
     roughness: wp.array[float]
     normals: wp.array[wp.vec3]
-    """Gradient with respect to the normal as a vector of any length."""
+    """d loss / d normal of each Gaussian, the normal taken as a vector of any length."""
 
 
 # --- Weights of pixels, and incident light ---
@@ -221,11 +219,11 @@ def pixel_weight(target: TargetImage, i: int) -> float:
 
 @wp.func
 def masked_color(shown: wp.vec3, target: TargetImage, i: int) -> wp.vec3:
-    """Returns the rendered colour where the pixel counts, blended to the target colour where it does not."""
+    """Returns ``w * shown + (1 - w) * target`` of a pixel, where w is the pixel's weight in the loss."""
     return wp.lerp(target.color[i], shown, pixel_weight(target, i))
 
 
 @wp.func
 def incident_radiance(light: DirectionalLight, i: int, k: int) -> wp.vec3:
-    """Returns the radiance that reaches Gaussian ``i`` from direction ``k``."""
+    """Returns the linear radiance that reaches Gaussian ``i`` from direction ``k``: environment plus surfaces."""
     return light.open[i, k] * light.environment[k] + light.seen[i, k]

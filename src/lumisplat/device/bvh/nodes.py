@@ -14,20 +14,21 @@ from lumisplat.device.math.memory import aligned_load_of, storage_of
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, Children, Node, Slabs, TreeRay, WaitingLink
 
 TRAVERSE_MARGIN = 1e-6
-"""Fraction of the distance and of the origin's coordinates by which rays are widened, so that rounding misses no box.
+"""Rays are widened by this fraction of the distance and of their origin's coordinates, so that rounding misses no box.
 """
 
 FOOTPRINT_REACH = 3.7
-"""Largest canonical radius within which a ray can hit a Gaussian, over all degrees and opacities."""
+"""Largest distance in standard deviations at which any ray hits a Gaussian, over all kernel degrees and opacities."""
 
 FOOTPRINT_LEAD = 1.1
-"""Largest ratio of the footprint that widens a Gaussian to the footprint at the near end of the Gaussian's ellipsoid.
+"""A Gaussian is widened at most by this factor times the ray's footprint at the near end of its ellipsoid.
 
-A Gaussian is widened by the footprint at its mean, limited by this ratio, so that the boxes of nodes need not be
-widened by more than the ray's footprint at the box."""
+Otherwise it is widened by the footprint at its mean. With the limit, the boxes of nodes need not be widened by more
+than the ray's footprint at the box."""
 
 FOOTPRINT_MAX = 0.1
-"""Largest footprint half width over path length; no practical image exceeds it."""
+"""Largest footprint, as a standard deviation over path length, by which rays widen Gaussians; no practical one is
+larger."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 
@@ -50,10 +51,11 @@ def larger(a: float, b: float) -> float:
 
 @wp.func
 def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> Slabs:
-    """Computes the plane factors and terms of a packet's bounding volume.
+    """Computes the bounding volume of a packet of rays for slab tests.
 
-    A plane with slope s, ``s t <= b``, means t <= b / s or, for s < 0, t >= b / s. ``low`` and ``high`` are the corners
-    of a box around the ray origins; ``slow`` and ``fast`` are the smallest and largest components of the directions.
+    ``low`` and ``high`` are the corners of a box around the ray origins; ``slow`` and ``fast`` are the smallest and
+    largest components of the directions. A plane with slope s, ``s t <= b``, means t <= b / s or, for s < 0, t >= b /
+    s.
     """
     slabs = Slabs()
     width = wp.vec3(MARGIN * wp.max(wp.max(wp.abs(low)), wp.max(wp.abs(high))))
@@ -126,10 +128,10 @@ def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
 
 @wp.func
 def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end: float) -> Children:
-    """Returns, for each child box, a lower bound of the distance at which a mean in the box projects onto a ray.
+    """Returns, for each child box, a lower bound of the distance at which a Gaussian's mean in it projects onto a ray.
 
-    The bound is 2 FAR if, by ``entries``, no ray enters the box before ``end``, or if all means in the box project
-    before ``begin``.
+    ``entries`` are the distances at which rays enter the boxes. The bound is 2 FAR if no ray enters the box before
+    ``end``, or if all means in the box project before ``begin``.
     """
     low_x = node.low_x
     low_y = node.low_y
@@ -157,7 +159,7 @@ def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end:
 
 @wp.func
 def least_product(a: float, b: float, c: float, d: float) -> float:
-    """Returns the smallest product of a number in ``a`` to ``b`` and a number in ``c`` to ``d``."""
+    """Returns the smallest x y with x between ``a`` and ``b``, and y between ``c`` and ``d``."""
     return lesser(lesser(a * c, a * d), lesser(b * c, b * d))
 
 
@@ -172,7 +174,7 @@ WIDEST = wp.constant(wp.float32(FOOTPRINT_MAX))
 
 @wp.func
 def footprint_of_ray(footprint: float, spread: float, scale: float) -> float:
-    """Returns the standard deviation by which a ray widens Gaussians, divided by the path length, in object space.
+    """Returns the standard deviation by which a ray widens Gaussians, object space, divided by the path length.
 
     ``footprint`` is the standard deviation in pixel widths, ``spread`` the pixel width over the path length, and
     ``scale`` the uniform scale from object to world.
@@ -182,7 +184,7 @@ def footprint_of_ray(footprint: float, spread: float, scale: float) -> float:
 
 @wp.func
 def footprint_slope(footprint: float, length: float) -> float:
-    """Returns the slope by which a ray must widen to enter the boxes of all Gaussians that it hits.
+    """Returns the slope of the cone around a ray that contains the boxes of all Gaussians which the ray hits.
 
     ``footprint`` is the standard deviation by which the ray widens Gaussians, divided by the path length; ``length`` is
     the length of the ray's direction.
@@ -193,7 +195,7 @@ def footprint_slope(footprint: float, length: float) -> float:
 
 @wp.func
 def footprint_variance(footprint: float, path: float, largest_scale: float) -> float:
-    """Returns the variance by which a ray widens a Gaussian, object space: the squared footprint at the mean.
+    """Returns the variance by which a ray widens a Gaussian, object space: its squared footprint at the mean.
 
     ``footprint`` is a standard deviation over the path length, ``path`` the path length to the projection of the mean.
     If an ellipsoid of ``largest_scale``, world space, may begin long before its mean, a nearer and smaller footprint is
@@ -232,13 +234,13 @@ load_node = aligned_load_of(Node)
 
 @wp.func
 def link_stack(storage: wp.ref[LinkStackStorage]) -> wp.array[WaitingLink]:
-    """Returns the stack of links that is stored in a local variable."""
+    """Returns a single ray's traversal stack, whose array points to the memory of the local variable ``storage``."""
     return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingLink)
 
 
 @wp.func
 def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
-    """Pushes a link so that it is visited next, with an entry distance so small that it is never skipped."""
+    """Pushes a node or leaf onto a single ray's stack as the next to visit, with entry distance -FAR: never skipped."""
     waiting = WaitingLink()
     waiting.entry = -FAR
     waiting.link = link
@@ -248,7 +250,7 @@ def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
 
 @wp.func
 def inverse_or_large(v: wp.vec3) -> wp.vec3:
-    """Returns ``1 / x`` for each component of a vector, limited to finite values."""
+    """Returns ``1 / x`` for each component of a vector; 1e30 where x is 0 or almost 0."""
     return wp.vec3(
         wp.where(wp.abs(v[0]) > 1.0e-30, 1.0 / v[0], 1.0e30),
         wp.where(wp.abs(v[1]) > 1.0e-30, 1.0 / v[1], 1.0e30),
@@ -258,9 +260,10 @@ def inverse_or_large(v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
-    """Returns the distance, at least 0, at which a ray enters each child box of a node; 2 FAR: the ray misses the box.
+    """Returns the distance, at least 0, at which a ray enters each child box of a node; 2 FAR if it misses the box.
 
-    ``inverse`` holds the reciprocals of the direction's components in the space of the tree, limited to finite values.
+    ``inverse`` has ``1 / x`` for each component of the ray's direction in the space of the tree, limited to finite
+    values.
     """
     entries = Children()
     low_x = node.low_x
@@ -287,7 +290,7 @@ def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
 
 @wp.func
 def tree_ray(origin: wp.vec3, direction: wp.vec3, footprint: float, path_length: float, hit_distance: int) -> TreeRay:
-    """Sets up a ray in the space of a tree.
+    """Sets up a single ray for traversal of one BVH, in the space of that BVH.
 
     ``footprint`` is the standard deviation by which the ray widens Gaussians, in the space of the tree, divided by the
     path length.
@@ -310,10 +313,7 @@ def tree_ray(origin: wp.vec3, direction: wp.vec3, footprint: float, path_length:
 
 @wp.func
 def enter_tree(node: Node, ray: TreeRay, hit_distance: int, end: float) -> Children:
-    """Returns, for each child of a node, a lower bound of the hit distances of its Gaussians.
-
-    The bound is 2 FAR if no hit lies before ``end``.
-    """
+    """Returns, for each child of a node, a lower bound of the ray's hit distances in it; 2 FAR: none before ``end``."""
     entries = Children()
     if ray.footprint > 0.0:
         entries = enter_children(node, ray.slabs, 0.0)
@@ -326,7 +326,7 @@ def enter_tree(node: Node, ray: TreeRay, hit_distance: int, end: float) -> Child
 
 @wp.func
 def push_all_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
-    """Pushes the children that a ray enters before ``reach``, in storage order."""
+    """Pushes the children of a node that a single ray enters before ``reach``, in the order of storage."""
     links = node.link
     end = int(top)
     last = lesser(reach, FAR)
@@ -340,7 +340,7 @@ def push_all_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node,
 
 @wp.func
 def push_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
-    """Pushes the children that a ray enters before ``reach``, farthest first, so that the nearest is visited next."""
+    """Pushes the children of a node that a single ray enters before ``reach``, so that the nearest is visited next."""
     base = int(top)
     push_all_entered(stack, top, node, entries, reach)
     for k in range(base + 1, top):

@@ -1,7 +1,7 @@
 """Packets: coherent rays that traverse the BVH together, their traversal stack, and their hit lists.
 
 A packet has one lane for each ray. Loops over the lanes become vector instructions, so types and functions are built
-for a fixed number of lanes: ``PACKET_RAYS`` on the CPU, and one for each CUDA thread.
+for a fixed number of lanes: ``PACKET_RAYS`` on the CPU. On CUDA, a packet has one ray, and threads form groups instead.
 """
 
 import functools
@@ -41,20 +41,20 @@ from lumisplat.device.structs.bvh import (
 from lumisplat.device.structs.rays import RayData
 
 COHERENT_SPREAD = 0.15
-"""Largest difference between the unit directions of a packet's first ray and any other ray of the packet."""
+"""A ray may join a packet if its unit direction differs from the first ray's by a vector of at most this length."""
 
 # --- The nearest hits of a ray in blending order: by distance, then by index ---
 
 
 @wp.func
 def is_before(t: float, index: int, other_t: float, other_index: int) -> bool:
-    """Returns whether a hit precedes another hit: by distance, or by Gaussian index at equal distances."""
+    """Returns whether hit (t, index) comes before another hit: by distance, or at equal distances by Gaussian index."""
     return t < other_t or (t == other_t and index < other_index)
 
 
 @wp.func
 def empty_list(begin: int) -> HitList:
-    """Returns a hit list without hits, whose first slot is ``begin``."""
+    """Returns a hit list without hits, whose range of the shared array begins at ``begin``."""
     hit_list = HitList()
     hit_list.begin = begin
     hit_list.head = begin
@@ -84,7 +84,7 @@ def buffer_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], slots: int, hit: 
 
 @wp.func
 def move_to_begin(hits: wp.array[Hit], hit_list: wp.ref[HitList]):
-    """Moves the hits of a list to its first slots."""
+    """Moves the hits that a list still has to the start of its range, which frees the places of blended hits."""
     shift = hit_list.head - hit_list.begin
     if shift > 0:
         for j in range(hit_list.head, hit_list.tail):
@@ -95,7 +95,7 @@ def move_to_begin(hits: wp.array[Hit], hit_list: wp.ref[HitList]):
 
 @wp.func
 def insert_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], hit: Hit):
-    """Inserts a hit at its sorted position in a list that has a free slot."""
+    """Inserts a hit at its sorted position in a list; the element behind the list's last hit must be free."""
     head = hit_list.head
     j = int(hit_list.tail)
     while j > head and is_before(hit.t, hit.index, hits[j - 1].t, hits[j - 1].index):
@@ -112,13 +112,13 @@ def insert_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], hit: Hit):
 # group 0, as all threads on CPUs.
 
 GROUP_MIN = 8
-"""Smallest group of CUDA threads that traverses together.
+"""CUDA threads with coherent rays traverse the BVH together only in groups of at least this many.
 
 The threads of a smaller group visit more additional nodes than the group saves by sharing."""
 
 
 def _on_cuda(code: str, otherwise: str) -> str:
-    """Returns C++ code with the body ``code`` for CUDA and ``otherwise`` for CPUs."""
+    """Returns C++ code of a function body: ``code`` on CUDA and ``otherwise`` on CPUs."""
     return f"#if defined(__CUDA_ARCH__)\n{code}\n#else\n{otherwise}\n#endif\n"
 
 
@@ -160,35 +160,35 @@ return most;
 
 @wp.func_native(_on_cuda(_GROUP.replace("GROUP_MIN", str(GROUP_MIN)), "return 0;"))
 def group_of(origin: wp.vec3, direction: wp.vec3, radius: float, spread: float) -> int:
-    """Returns the bit mask of the threads of this thread's warp whose rays are close to a common first ray.
+    """Returns the CUDA threads of this thread's warp that traverse the BVH with it, as a bit mask; 0: none do.
 
-    Their origins differ by at most ``radius`` from that of the first ray, their directions by at most ``spread``. All
-    threads of the warp that have a ray must call the function together.
+    The rays of a group have origins within ``radius`` of that of its first ray, and directions within ``spread`` of its
+    direction. All threads of the warp that have a ray must call the function together.
     """
     ...
 
 
 @wp.func_native(_on_cuda(_LARGEST, "return number;"))
 def largest_of(group: int, number: float) -> float:
-    """Returns the largest ``number`` among a group's threads, all of which must call the function."""
+    """Returns the largest ``number`` among the CUDA threads of a group, all of which must call the function."""
     ...
 
 
 @wp.func
 def least_of(group: int, number: float) -> float:
-    """Returns the smallest ``number`` among a group's threads, all of which must call the function."""
+    """Returns the smallest ``number`` among the CUDA threads of a group, all of which must call the function."""
     return -largest_of(group, -number)
 
 
 @wp.func
 def largest_vector(group: int, numbers: wp.vec3) -> wp.vec3:
-    """Returns the componentwise maximum of ``numbers`` over a group's threads, all of which must call the function."""
+    """Returns the componentwise maximum of ``numbers`` over the CUDA threads of a group; all must call the function."""
     return wp.vec3(largest_of(group, numbers[0]), largest_of(group, numbers[1]), largest_of(group, numbers[2]))
 
 
 @wp.func
 def least_vector(group: int, numbers: wp.vec3) -> wp.vec3:
-    """Returns the componentwise minimum of ``numbers`` over a group's threads, all of which must call the function."""
+    """Returns the componentwise minimum of ``numbers`` over the CUDA threads of a group; all must call the function."""
     return -largest_vector(group, -numbers)
 
 
@@ -197,18 +197,18 @@ def least_vector(group: int, numbers: wp.vec3) -> wp.vec3:
 WIDTH = wp.constant(NODE_WIDTH)
 
 NEAR_FIRST = wp.constant(wp.float32(1.0))
-"""Order in which sibling nodes are visited: the one that rays enter first comes first."""
+"""Visiting order of a BVH node's children: the child that rays enter first comes first."""
 
 FAR_FIRST = wp.constant(wp.float32(-1.0))
-"""Order in which sibling nodes are visited: the one that rays enter last comes first."""
+"""Visiting order of a BVH node's children: the child that rays enter last comes first."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeStack:
-    """Type and constructor of a traversal stack for a certain number of nodes."""
+    """Warp type and constructor of a packet's traversal stack, generated for one capacity."""
 
     storage: Any
-    """Type of the local variable that stores the nodes."""
+    """Warp struct of the kernel's local variable whose memory the stack uses."""
     node_stack: Any
 
 
@@ -220,7 +220,7 @@ def node_stack_of(entries: int) -> NodeStack:
 
     @wp.func
     def node_stack(storage: wp.ref[NodeStackStorage]) -> wp.array[WaitingNode]:
-        """Returns the stack of nodes that is stored in a local variable."""
+        """Returns a traversal stack whose array points to the memory of the local variable ``storage``."""
         return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingNode)
 
     return NodeStack(NodeStackStorage, node_stack)
@@ -228,7 +228,7 @@ def node_stack_of(entries: int) -> NodeStack:
 
 @wp.func
 def push_root(stack: wp.array[WaitingNode]) -> int:
-    """Resets the stack to the root of the top-level tree; returns the stack height, 1."""
+    """Makes the root of the top-level tree the only entry of a packet's stack; returns the stack height, 1."""
     root = WaitingNode()
     root.instance = WORLD
     stack[0] = root
@@ -246,7 +246,7 @@ def push_children(
     reach: float,
     order: float,
 ) -> int:
-    """Pushes the inner children of a node onto the stack and collects its leaves.
+    """Pushes those children of a node that are nodes onto the packet's stack, and collects those that are leaves.
 
     ``leaves`` receives the leaves as indices of Gaussians in the particle array of the asset. Children that the packet
     enters beyond ``reach`` are skipped; ``order`` is NEAR_FIRST or FAR_FIRST.
@@ -278,7 +278,7 @@ def push_children(
 
 @wp.func
 def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: WaitingNode, order: float):
-    """Inserts a node among its siblings, which occupy stack entries ``base`` to ``top``, by visiting order."""
+    """Inserts a node at its place in the visiting order among its siblings, stack entries ``base`` to ``top - 1``."""
     j = int(top)
     while j > base and order * stack[j - 1].entry < order * node.entry:
         stack[j] = stack[j - 1]
@@ -288,7 +288,7 @@ def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: Waiting
 
 @wp.func
 def set_floors(stack: wp.array[WaitingNode], base: int, top: int):
-    """Sets ``floor`` of the sibling nodes that occupy stack entries ``base`` to ``top``."""
+    """Sets, for stack entries ``base`` to ``top - 1``, the smallest entry distance of the entry and all below it."""
     below = float(FAR)
     if base > 0:
         below = stack[base - 1].floor
@@ -304,7 +304,7 @@ PACKET_OPTIONS = {
     "max_unroll": 4,
     "cpu_compiler_flags": FUSED_FLAGS,
 }
-"""Module options of kernels that trace packets."""
+"""Warp module options of kernels that trace packets of rays."""
 
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
 
@@ -312,15 +312,15 @@ load_node = aligned_load_of(Node)
 
 
 class RayPacket(NamedTuple):
-    """Packet types and functions for a certain number of lanes."""
+    """Warp types and functions for packets, generated for one number of rays per packet."""
 
     floats: Any
-    """Vector type with one float for each ray."""
+    """Vector type with one float for each ray of a packet."""
     ints: Any
     vec3s: Any
-    """Matrix type with one 3-vector for each ray, the rays being its columns."""
+    """Matrix type with rows x, y and z and one column for each ray of a packet."""
     rays_storage: Any
-    """Type of the local variable that stores PacketRays."""
+    """Warp struct of the kernel's local variable whose memory the arrays of PacketRays point to."""
     packet_rays: Any
     ends_of: Any
     largest: Any
@@ -341,7 +341,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @struct
     class RaysStorage:
-        """Local variable that stores PacketRays."""
+        """Local variable of a kernel whose memory the arrays of PacketRays point to."""
 
         origin: Vec3s
         direction: Vec3s
@@ -354,7 +354,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def packet_rays(storage: wp.ref[RaysStorage]) -> PacketRays:
-        """Returns the rays that are stored in a local variable."""
+        """Returns PacketRays whose arrays point to the memory of the local variable ``storage``."""
         packet = PacketRays()
         packet.origin = wp.array(ptr=wp.address_of(storage.origin), shape=(3, LANES), dtype=float)
         packet.direction = wp.array(ptr=wp.address_of(storage.direction), shape=(3, LANES), dtype=float)
@@ -368,7 +368,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def ends_of(rays: RayData, limits: wp.array[float], first: int) -> Floats:
-        """Returns the end distance of each ray, at most FAR; -FAR for inactive rays and for ends that are at most 0."""
+        """Returns the end distance of each ray from ``first`` on, at most FAR; -FAR if inactive or if it ends at 0."""
         ends = Floats(-FAR)
         for lane in range(LANES):
             if rays.is_active[first + lane] and limits[first + lane] > 0.0:
@@ -387,7 +387,7 @@ def packet_of(lanes: int) -> RayPacket:
     def take_coherent(rays: RayData, first: int, waiting: wp.ref[Floats], radius_max: float) -> Floats:
         """Takes the first waiting ray and all waiting rays that are close to it in origin and direction.
 
-        ``waiting`` has a positive number for each waiting ray; it becomes -FAR for the rays that are taken.
+        ``waiting`` has a positive number for each waiting ray, which is set to -FAR for the rays that are taken.
         ``radius_max`` is the largest distance between origins.
 
         Returns:
@@ -414,9 +414,10 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def begin_packet(packet: PacketRays, waiting: wp.ref[Floats], rays: RayData, first: int, radius_max: float):
-        """Starts a packet with the waiting rays that ``take_coherent`` selects.
+        """Fills a packet with the first waiting ray and all waiting rays that are close to it.
 
-        ``waiting`` has the end distance of each waiting ray, and -FAR for all others.
+        ``waiting`` has the end distance of each waiting ray, and -FAR for all others; rays that are taken no longer
+        wait.
         """
         ends = take_coherent(rays, first, waiting, radius_max)
         for lane in range(LANES):
@@ -428,11 +429,10 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def slabs_of(packet: PacketRays) -> Slabs:
-        """Returns the bounding volume of the rays whose limit is positive.
+        """Returns the bounding volume of a packet's unfinished rays: a box around the origins that widens on its way.
 
-        The volume is a box around the origins that widens with the extreme slopes. It includes the rays of the other
-        threads of the group. It is widened by the footprints, because rays hit widened Gaussians
-        (docs/method/ray_tracing.md#footprints).
+        It includes the rays of the other CUDA threads of the group. It is widened by the footprints, because rays hit
+        widened Gaussians (docs/method/ray_tracing.md#footprints).
         """
         low = wp.vec3(FAR)
         high = wp.vec3(-FAR)
@@ -511,7 +511,7 @@ def packet_of(lanes: int) -> RayPacket:
         hit_distance: int,
         end: float,
     ) -> int:
-        """Pushes the children of the node just popped from the stack, as ``push_children`` does.
+        """Tests the children of the node just popped from the packet's stack; pushes nodes and collects leaves.
 
         Children that the packet leaves before ``begin`` or enters beyond ``reach`` are skipped. With HIT_MEAN,
         ``reach`` limits the projections of means, and ``end`` is the distance at which the last ray of the packet ends.

@@ -14,9 +14,9 @@ from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
 
 DISTORTION_RESIDUAL_FLOAT = 2e-6
-"""Largest accepted error of the inverse distortion in float32, relative to one plus the radius of the point.
+"""Largest error of the inverse distortion that counts as converged, relative to 1 + the radius of the point.
 
-It corresponds to 16 roundings, a hundredth of a pixel of the largest images."""
+It corresponds to 16 roundings of float32, a hundredth of a pixel of the largest images."""
 
 SHUTTER_STEPS = 5
 """Fixed-point iterations that find the row, and so the time, at which a rolling shutter exposes a point (as 3DGUT)."""
@@ -30,7 +30,7 @@ RESIDUAL = wp.constant(wp.float32(DISTORTION_RESIDUAL_FLOAT))
 
 @wp.func
 def distorted(camera: CameraData, point: wp.vec2) -> wp.vec2:
-    """Applies the lens distortion to a point in the coordinates of the camera's projection model."""
+    """Applies the lens distortion to an undistorted point of the image plane, x/z and y/z for a pinhole."""
     k = camera.radial
     p = camera.tangential
     u = point[0]
@@ -45,7 +45,7 @@ def distorted(camera: CameraData, point: wp.vec2) -> wp.vec2:
 
 @wp.func
 def distortion_jacobian(camera: CameraData, point: wp.vec2) -> wp.mat22:
-    """Returns the Jacobian of ``distorted``."""
+    """Returns the 2 x 2 Jacobian of ``distorted``, the lens distortion, at an undistorted point."""
     k = camera.radial
     p = camera.tangential
     u = point[0]
@@ -64,14 +64,14 @@ def distortion_jacobian(camera: CameraData, point: wp.vec2) -> wp.mat22:
 
 @wp.func
 def within_reach(camera: CameraData, point: wp.vec2) -> wp.vec2:
-    """Clamps a point to the radius up to which the distortion polynomial is monotonic."""
+    """Clamps an undistorted point to the radius up to which the lens distortion is one-to-one."""
     radius = wp.length(point)
     return wp.where(radius > camera.distortion_reach, point * (camera.distortion_reach / radius), point)
 
 
 @wp.func
 def undistorted(camera: CameraData, shown: wp.vec2) -> wp.vec2:
-    """Inverts the lens distortion at a point by Newton's method; NaN if no undistorted point maps to it."""
+    """Inverts the lens distortion at point ``shown`` by Newton's method; NaN if no undistorted point maps to it."""
     found = within_reach(camera, shown)
     for _ in range(STEPS):
         step = wp.inverse(distortion_jacobian(camera, found)) * (distorted(camera, found) - shown)
@@ -110,9 +110,9 @@ def rotated(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
 
 @wp.func
 def pixel_spread(camera: CameraData, u: float, v: float) -> float:
-    """Returns the square root of a pixel's solid angle at a point of the undistorted image plane.
+    """Returns the square root of a pixel's solid angle, radians, at point (u, v) of the undistorted image plane.
 
-    The result is in radians, and 0 for parallel rays.
+    It is 0 for the parallel rays of an orthographic camera.
     """
     per_pixel = 1.0 / (camera.focal[0] * camera.focal[1])
     if camera.model == ORTHOGRAPHIC:
@@ -128,11 +128,11 @@ def pixel_spread(camera: CameraData, u: float, v: float) -> float:
 
 @wp.func
 def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
-    """Generates the ray of a sample through a pixel; the direction is zero outside the view of a fisheye or a lens.
+    """Generates the ray of a sample through pixel (x, y); its direction is zero outside the view of a fisheye or lens.
 
-    With an aperture, the ray starts on the lens and crosses the central ray where it is in focus: on a plane
+    With an aperture, the ray starts on the lens and crosses the pinhole ray where that is in focus: on a plane
     perpendicular to the axis. For a fisheye, which may see behind itself, the focus surface is a sphere and the lens is
-    perpendicular to the central ray.
+    perpendicular to the pinhole ray.
     """
     ray = Ray()
     u = (float(x) + camera.offset[0] - camera.center[0]) / camera.focal[0]
@@ -195,9 +195,9 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
 
 @wp.func
 def pixel_of_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
-    """Projects a world-space point to pixel coordinates; NaN behind the camera or beyond the reach of its lens.
+    """Projects a world-space point to pixels, without depth of field; NaN if it is not visible.
 
-    It projects through the lens centre and, with a rolling shutter, at the time of the first row.
+    With a rolling shutter, the camera's pose is that of the first row.
     """
     nowhere = wp.vec2(wp.nan, wp.nan)
     view = wp.transpose(camera.world_from_camera) * (point - camera.eye)
@@ -254,13 +254,13 @@ def image_point(camera: CameraData, field: float, view: wp.vec3) -> wp.vec2:
 
 @wp.func
 def row_time(camera: CameraData, y: float) -> float:
-    """Returns the exposure time of an image row as a fraction of the time from the first row to the last."""
+    """Returns the shutter time of image row ``y``: 0 for the first row, 1 for the last."""
     return wp.clamp(y / float(camera.full_height), 0.0, 1.0)
 
 
 @wp.func
 def view_at(camera: CameraData, point: wp.vec3, time: float) -> wp.vec3:
-    """Transforms a point to camera space at a time of the shutter.
+    """Transforms a point to camera space at shutter time ``time``: 0 at the first row, 1 at the last.
 
     ``point`` is relative to the eye at the start of the first row, in world orientation.
     """
@@ -271,12 +271,11 @@ def view_at(camera: CameraData, point: wp.vec3, time: float) -> wp.vec3:
 
 @wp.func
 def pixel_at_row_time(camera: CameraData, field: float, point: wp.vec3) -> wp.vec3:
-    """Projects a point to the image row that exposes it; returns x and y in pixels and the last iteration's change.
+    """Projects a point with a rolling shutter: returns x and y in pixels, and the last iteration's change of position.
 
-    With a rolling shutter, each row sees the point at another position, so the row is found by fixed-point iteration.
-
-    ``field`` is the tangent of the angle from a pinhole's axis beyond which the projection is extended linearly.
-    ``point`` is relative to the eye at the start of the first row, in world orientation.
+    Each row sees the point at another position, so the row that shows it is found by fixed-point iteration. ``field``
+    is the tangent of the off-axis angle beyond which a pinhole is extended linearly. ``point`` is relative to the eye
+    at the start of the first row, in world orientation.
     """
     at = image_point(camera, field, view_at(camera, point, 0.5))
     error = float(0.0)

@@ -1,4 +1,4 @@
-"""Pixel layouts: ray order, windows of a full frame, tiles and strips, and pixel squares of CUDA warps."""
+"""Pixel layouts: order of camera rays, crops of a full frame, tiles and strips, and pixel squares of CUDA warps."""
 
 from typing import Any
 
@@ -17,7 +17,10 @@ BLOCK_RAYS = wp.constant(RAY_BLOCK_PX * RAY_BLOCK_PX)
 
 @wp.func
 def pixel_of_ray(width: int, ray: int) -> wp.vec2i:
-    """Returns the pixel (x, y) of a ray in an image of this width; the pixel may lie outside, to the right or below."""
+    """Returns the pixel (x, y) of camera ray ``ray`` in an image of this width.
+
+    Rays are ordered by square groups of pixels. The pixel may lie outside the image, to the right or below.
+    """
     blocks_x = (width + BLOCK - 1) // BLOCK
     block = ray // BLOCK_RAYS
     within = ray % BLOCK_RAYS
@@ -26,7 +29,7 @@ def pixel_of_ray(width: int, ray: int) -> wp.vec2i:
 
 @wp.func
 def ray_of_pixel(width: int, x: int, y: int) -> int:
-    """Returns the ray index of a pixel inside the image."""
+    """Returns the index of the camera ray of pixel (x, y) in an image of this width: inverts ``pixel_of_ray``."""
     blocks_x = (width + BLOCK - 1) // BLOCK
     block = (y // BLOCK) * blocks_x + x // BLOCK
     return block * BLOCK_RAYS + (y % BLOCK) * BLOCK + x % BLOCK
@@ -34,7 +37,7 @@ def ray_of_pixel(width: int, x: int, y: int) -> int:
 
 @wp.func
 def pixel_number(ray: int, camera: wp.array[CameraData]) -> int:
-    """Returns the row-major index of a ray's pixel; -1: the pixel lies outside the image."""
+    """Returns the row-major index of the pixel of camera ray ``ray``; -1: the pixel lies outside the image."""
     at = pixel_of_ray(camera[0].width, ray)
     if at[0] >= camera[0].width or at[1] >= camera[0].height:
         return -1
@@ -46,31 +49,34 @@ def pixel_number(ray: int, camera: wp.array[CameraData]) -> int:
 
 @wp.func
 def is_in_window(camera: CameraData, x: int, y: int) -> bool:
-    """Returns whether a pixel lies in the window, if it is known not to lie left of or above the window."""
+    """Returns whether pixel (x, y) of the full frame lies before the right and the bottom edge of the rendered crop.
+
+    The pixel must be known not to lie left of or above the crop.
+    """
     return x < camera.left + camera.width and y < camera.top + camera.height
 
 
 @wp.func
 def image_index(camera: CameraData, x: int, y: int) -> int:
-    """Returns the row-major index, in the window's image, of a pixel of the full frame."""
+    """Returns the row-major index, in the rendered crop, of pixel (x, y) of the full frame."""
     return (y - camera.top) * camera.width + x - camera.left
 
 
 @wp.func
 def ray_index(camera: CameraData, x: int, y: int) -> int:
-    """Returns the ray index of a pixel of the full frame."""
+    """Returns the index of the camera ray of pixel (x, y) of the full frame."""
     return ray_of_pixel(camera.width, x - camera.left, y - camera.top)
 
 
 @wp.func
 def full_pixel_of_index(camera: CameraData, index: int) -> wp.vec2i:
-    """Returns the full-frame pixel at a row-major index of the window's image."""
+    """Returns the pixel of the full frame that has the row-major index ``index`` in the rendered crop."""
     return wp.vec2i(camera.left + index % camera.width, camera.top + index // camera.width)
 
 
 @wp.func
 def full_pixel_of_ray(camera: CameraData, ray: int) -> wp.vec2i:
-    """Returns the full-frame pixel of a ray; it may lie outside the window, to the right or below."""
+    """Returns the pixel of the full frame of a camera ray; it may lie outside the crop, to the right or below."""
     at = pixel_of_ray(camera.width, ray)
     return wp.vec2i(camera.left + at[0], camera.top + at[1])
 
@@ -129,15 +135,15 @@ int_at, set_int_at, add_int_at = elements_of(TileInts)
 
 @wp.func
 def tile_corner(camera: CameraData, tile: int) -> wp.vec2i:
-    """Returns the upper left pixel of a tile of the window, in full-frame coordinates."""
+    """Returns the upper left pixel, in the full frame, of a tile of the rendered crop."""
     return wp.vec2i(camera.left + (tile % camera.tiles_x) * TILE, camera.top + (tile // camera.tiles_x) * TILE)
 
 
 @wp.func
 def tile_pixel(camera: CameraData, item: int) -> wp.vec2i:
-    """Returns the pixel of element ``item`` of an array that is ordered tile by tile, and row by row in each tile.
+    """Returns the pixel of the full frame of element ``item`` of an array ordered tile by tile, each row by row.
 
-    The pixel may lie outside the window.
+    The pixel may lie outside the crop.
     """
     corner = tile_corner(camera, item // TILE_PIXELS)
     return wp.vec2i(corner[0] + item % TILE, corner[1] + (item // TILE) % TILE)
@@ -145,7 +151,7 @@ def tile_pixel(camera: CameraData, item: int) -> wp.vec2i:
 
 @wp.func
 def is_listed(rect: TileRect) -> bool:
-    """Returns whether a splat is listed in any tile; culled splats are listed in none."""
+    """Returns whether a splat touches any tile; ``rect`` is empty for culled splats."""
     return rect.x0 < rect.x1
 
 
@@ -157,7 +163,7 @@ def rect_area(rect: TileRect) -> int:
 
 @wp.func
 def pair_slot(rect: TileRect, first: int, tile_x: int, tile_y: int) -> int:
-    """Returns the index of the record of a splat in one of its tiles.
+    """Returns the index of the record that a splat has for the tile in column ``tile_x`` and row ``tile_y``.
 
     A splat has one record for each tile of ``rect``, row by row, from index ``first`` on.
     """
@@ -167,10 +173,10 @@ def pair_slot(rect: TileRect, first: int, tile_x: int, tile_y: int) -> int:
 # --- Tiles divided into squares, one for each warp of a CUDA thread block ---
 
 WARP_THREADS = 32
-"""Threads of a warp, which can sum values without a barrier; the same number on all NVIDIA GPUs."""
+"""Number of threads of a CUDA warp, which can sum values without a barrier; the same on all NVIDIA GPUs."""
 
 TILE_WARPS = 4
-"""Warps that process a tile."""
+"""Number of CUDA warps that process a tile, each a square of its pixels."""
 
 TILE_THREADS = WARP_THREADS * TILE_WARPS
 
@@ -179,21 +185,21 @@ THREADS = wp.constant(TILE_THREADS)
 _LANES = wp.constant(WARP_THREADS)
 
 _SIDE = wp.constant(TILE_PX // 2)
-"""Side of the square of pixels that one warp processes."""
+"""Side, in pixels, of the square of a tile that one CUDA warp processes."""
 
 ROWS = wp.constant(TILE_PX * TILE_PX // TILE_THREADS)
-"""Number of pixels of a thread, which lie in one column of its warp's square of pixels."""
+"""Number of pixels that a CUDA thread processes, all in one column of its warp's square of pixels."""
 
 STRIDE = wp.constant(WARP_THREADS // (TILE_PX // 2))
-"""Distance in rows between two successive pixels of a thread."""
+"""Number of rows from one pixel of a CUDA thread to its next, in the same column."""
 
 ThreadFloats = wp.types.vector(length=TILE_PX * TILE_PX // TILE_THREADS, dtype=wp.float32)
-"""Vector type with one float for each pixel of a thread."""
+"""Vector type with one float for each pixel that a CUDA thread processes."""
 
 
 @wp.func
 def first_pixel(thread: int) -> wp.vec2i:
-    """Returns the topmost pixel of a thread, relative to the corner of its tile."""
+    """Returns the topmost pixel that a CUDA thread processes, relative to the corner of its tile."""
     warp = thread // _LANES
     lane = thread % _LANES
     return wp.vec2i((warp % 2) * _SIDE + lane % _SIDE, (warp // 2) * _SIDE + lane // _SIDE)

@@ -17,57 +17,65 @@ from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstan
 
 @struct
 class RayMotion:
-    """Gradient of the loss with respect to a rigid motion of all rays that hit a Gaussian, object space."""
+    """Gradient of the loss with respect to moving all rays that hit a Gaussian as a rigid body, object space."""
 
     shift: wp.vec3
-    """Gradient with respect to a translation of the rays."""
+    """Gradient of the loss with respect to a common translation of the rays, object space."""
     rotation: wp.vec3
-    """Gradient with respect to a rotation of the rays about the origin."""
+    """Gradient of the loss with respect to a common rotation of the rays about the object's origin, as a rotation
+    vector."""
 
 
 @struct
 class HitMoments:
-    """Sums over the hits of one Gaussian from which its gradients follow.
+    """Sums over the hits of one Gaussian from which its gradients are computed.
 
-    The vectors are in the frame of the Gaussian's axes unless stated otherwise. Each term is multiplied by the
-    derivative of the loss with respect to the hit's squared canonical distance; the terms are those of
-    docs/method/gradients.md#hits.
+    Each term is multiplied by g, the derivative of the loss with respect to the hit's squared canonical distance d^2.
+    Vectors are along the Gaussian's axes unless stated otherwise. The terms are those of docs/method/gradients.md#hits.
     """
 
     log_opacity: float
     pull: wp.vec3
-    """Sum of the rays' canonical offsets from the mean, divided by the scales."""
+    """Sum over hits of ``g c / s`` per axis, which gives the gradient of the mean.
+
+    g is d loss / d d^2 of the hit, c the canonical vector from the mean to the ray, and s the widened standard
+    deviation."""
     torque: wp.vec3
-    """Sum of the torques of ``pull`` about the mean."""
+    """Sum over hits of ``g cross(c / s, c s)``, which gives the gradient of the rotation.
+
+    g is d loss / d d^2 of the hit, c the canonical vector from the mean to the ray, and s the widened standard
+    deviation."""
     spread: wp.vec3
-    """Sum of the rays' squared canonical offsets from the mean, divided by the scales."""
+    """Sum over hits of ``g (c / s)^2 scale`` per axis, which gives the gradient of the scales.
+
+    g is d loss / d d^2 of the hit, c the canonical vector from the mean to the ray, and s the scale widened by the
+    footprint."""
     path: wp.vec3
-    """Gradient with respect to the mean's position along the ray, which determines the footprint width; object space.
+    """Gradient with respect to the mean by its distance along the rays, which sets their footprint width; object
+    space.
     """
     largest: float
-    """Gradient with respect to the largest scale, which limits the footprint width; object space."""
+    """Gradient with respect to the largest scale by the limit that it sets to the rays' footprint width; object space.
+    """
 
 
 NEAREST2 = wp.constant(wp.float32(1.0e-30))
-"""Squared canonical distance up to which a ray counts as hitting the mean, where degrees 0 and 1 have a kink."""
+"""Squared canonical distances are at least this in derivatives of kernels of degree 0 and 1, which have a kink at 0."""
 
 
 @wp.func
 def log_alpha_gradient(alpha: float, before: float, shown: float, behind: float) -> float:
-    """Returns the derivative of the loss with respect to the logarithm of a hit's alpha; 0 where alpha is clamped.
+    """Returns d loss / d log(alpha) of a hit: ``alpha (before * shown - behind) / (1 - alpha)``, or 0 if clamped.
 
-    ``before`` is the transmittance in front of the hit, ``shown`` the gradient of the pixel's colour times the hit's
-    colour, and ``behind`` the loss contribution of this hit and of all hits behind it.
+    ``before`` is the transmittance in front of the hit, and ``shown`` its colour times the pixel's colour gradient.
+    ``behind`` is the sum of the loss terms of this hit and all that is behind it, as in ``RayGradient.behind``.
     """
     return wp.where(alpha < ALPHA_LIMIT, alpha * (before * shown - behind) / (1.0 - alpha), 0.0)
 
 
 @wp.func
 def log_response_slope(kernel: KernelData, distance2: float) -> float:
-    """Returns the derivative of the response's logarithm with respect to the squared canonical distance.
-
-    The distance must be within the Gaussian's reach.
-    """
+    """Returns d log(response) / d d^2, where d^2 is the squared canonical distance ``distance2``, within reach."""
     if kernel.degree == 2:
         return -0.5
     near2 = wp.max(distance2, NEAREST2)
@@ -80,7 +88,7 @@ def log_response_slope(kernel: KernelData, distance2: float) -> float:
 
 @wp.func
 def ray_in_object(instance: SplatInstanceData, ray: Ray) -> Ray:
-    """Transforms a ray's origin and direction to the space of an instance."""
+    """Returns a ray with origin and direction transformed to the object space of a splat instance."""
     ray.origin = instance.object_from_world * ray.origin + instance.object_from_world_offset
     ray.direction = instance.object_from_world * ray.direction
     return ray
@@ -96,10 +104,10 @@ def add_hit(
     ray: Ray,
     by_log_alpha: float,
 ) -> HitMoments:
-    """Adds a hit to the sums of its Gaussian.
+    """Adds the terms of one hit to the gradient sums of its Gaussian.
 
     ``axes`` are the Gaussian's axes as columns, ``scale`` the standard deviations along them. The ray is in object
-    space, and ``by_log_alpha`` is the derivative with respect to the logarithm of the hit's alpha.
+    space, and ``by_log_alpha`` is d loss / d log(alpha) of the hit.
     """
     away = ray.origin - mean
     footprint = footprint_of_ray(instance.footprint, ray.spread, instance.scale)
@@ -132,7 +140,7 @@ def add_hit(
 def add_moments(
     gaussians: GaussianData, i: int, axes: wp.mat33, moments: HitMoments, out: GaussianGradient
 ) -> RayMotion:
-    """Adds the gradients of Gaussian ``i`` that follow from its hits to ``out``.
+    """Converts the hit sums of Gaussian ``i`` to gradients of mean, rotation, scales and opacity, added to ``out``.
 
     Returns the gradient with respect to a rigid motion of the rays, which has the same effect as the opposite motion of
     the Gaussian.
@@ -172,9 +180,9 @@ def add_color(
     motion: RayMotion,
     out: GaussianGradient,
 ) -> RayMotion:
-    """Adds the gradients of the SH and the mean of Gaussian ``i`` through its view-dependent colour to ``out``.
+    """Adds the gradients of SH and mean of Gaussian ``i``, by its view-dependent colour, to ``out``.
 
-    Returns ``motion`` plus the gradient through the eye, which moves with the rays.
+    ``by_color`` is d loss / d colour. Returns ``motion`` plus the gradient by the eye, which moves with the rays.
     """
     if instance.shows_albedo != 0:
         return motion

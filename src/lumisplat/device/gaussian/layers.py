@@ -10,27 +10,29 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 LAYER_FLATNESS = 0.15
-"""Largest ratio of smallest to middle scale of a flat Gaussian, whose thin axis is its layer's normal (docs/adr/0088).
+"""A Gaussian is flat if its smallest scale is below this fraction of its middle scale (docs/adr/0088).
+
+The thin axis of a flat Gaussian is the normal of its layer, a surface such as a wall.
 """
 
 LAYER_COSINE = 0.35
-"""Cosine of 70 degrees; if the normals of two layers differ by more, their order alone distinguishes the layers."""
+"""Cosine of 70 degrees: layers whose normals differ by more need only the height ``LAYER_HEIGHT`` to be told apart."""
 
 LAYER_HEIGHT = 0.0625
-"""Smallest height above a surface of the mean of another layer's Gaussian, as a fraction of the shadow offset.
+"""Height of a Gaussian's mean above a surface from which on it is of another layer, as a fraction of the shadow
+offset.
 
 By default, the shadow offset is four scales, and the height a quarter of a scale. It is also the smallest distance of
 the ray's origin from the plane of this Gaussian, unless the ray hits the Gaussian from the front."""
 
 LAYER_RISE = 1.0
-"""Increase of ``LAYER_HEIGHT`` for each unit of the cosine beyond ``LAYER_COSINE``, as a fraction of the shadow
-offset.
+"""The height ``LAYER_HEIGHT`` grows by this for each unit of the cosine beyond ``LAYER_COSINE``.
 
-For parallel layers, the height becomes 2.85 scales.
+It is a fraction of the shadow offset; for parallel layers, the height becomes 2.85 scales.
 """
 
 LAYER_LIFT = 0.0625
-"""Height above a surface of Gaussians at which bounced rays start, as a fraction of the shadow offset.
+"""Rays leave a surface of Gaussians from this height above it, as a fraction of the shadow offset.
 
 It is a quarter of a scale by default. From inside a layer, rays along the layer would leave it below and see the light
 of its other side (docs/adr/0088)."""
@@ -44,7 +46,7 @@ RISE = wp.constant(wp.float32(LAYER_RISE))
 
 @wp.func
 def is_flat(scales: wp.vec3) -> bool:
-    """Returns whether the thin axis of a Gaussian with these scales is the normal of its layer."""
+    """Returns whether a Gaussian with these scales is flat, so that its thin axis is the normal of a surface layer."""
     thin = wp.min(scales)
     middle = wp.max(wp.min(scales[0], scales[1]), wp.min(wp.max(scales[0], scales[1]), scales[2]))
     return thin < FLATNESS * middle
@@ -52,9 +54,9 @@ def is_flat(scales: wp.vec3) -> bool:
 
 @wp.func
 def above_layer(point: wp.vec3, normal: wp.vec3, near: float) -> wp.vec3:
-    """Returns the origin of a ray that bounces at a surface of Gaussians, lifted so that the ray does not leave below.
+    """Returns ``point`` lifted along ``normal`` by a fraction of ``near``: the origin of a ray that leaves a layer.
 
-    ``normal``, the normal of the layer, is unit and on the ray's side; if it is zero, the ray starts at ``point``.
+    ``normal``, the unit normal of the layer of flat Gaussians, is on the ray's side; zero: no layer, and no lift.
     ``near`` is the distance within which Gaussians of the same layer do not block the ray, scene units; 0 for meshes.
     """
     return point + LIFT * near * normal
@@ -62,7 +64,7 @@ def above_layer(point: wp.vec3, normal: wp.vec3, near: float) -> wp.vec3:
 
 @wp.func
 def thin_axis(particle: Particle, instance: SplatInstanceData) -> wp.vec3:
-    """Returns the world-space unit normal of a flat Gaussian, on either side; zero for a Gaussian that is not flat."""
+    """Returns the world-space unit vector along a flat Gaussian's thin axis, of either sign; zero if it is not flat."""
     rows = particle.canonical_from_object
     sharp = wp.vec3(wp.length_sq(rows[0]), wp.length_sq(rows[1]), wp.length_sq(rows[2]))
     thinnest = int(0)
@@ -93,7 +95,7 @@ def is_other_layer(
     gaussians: GaussianData,
     rays: RayData,
 ) -> bool:
-    """Returns whether a Gaussian that ray ``i`` hits near its origin belongs to another layer than the ray's surface.
+    """Returns whether a Gaussian that ray ``i`` hits close to its origin is of another surface than the ray's origin.
 
     Both the hit Gaussian and the ray's surface must be flat. The hit Gaussian's mean must lie above the ray's surface,
     by little if the layers are inclined to each other and by more if they are parallel. The ray must hit the Gaussian

@@ -40,20 +40,21 @@ from lumisplat.device.structs.scene import KernelData, SplatInstanceData
 
 HIT_NONE: int = wp.constant(0)
 HIT_FAR: int = wp.constant(1)
-"""The ray hits a Gaussian beyond the shadow offset."""
+"""Kind of hit: the response peaks beyond the distance at which every Gaussian may be hit."""
 
 HIT_NEAR: int = wp.constant(2)
-"""The ray hits a Gaussian within the shadow offset; the hit counts only if the Gaussian is of another layer."""
+"""Kind of hit: so close to the ray's origin that it counts only if the Gaussian is of another surface layer."""
 
 PASS_REWIND = 1e-4
-"""Fraction of the distance by which a new pass starts earlier, because rounding may place hits outside their node's
-box."""
+"""A new pass of a ray starts nearer than the last blended hit by this fraction of the hit's distance.
+
+Rounding may place hits outside the box of their BVH node."""
 
 # --- Intersection, and alpha of each hit (docs/method/ray_tracing.md#hits) ---
 
 
 class PacketHits(NamedTuple):
-    """Intersection functions for a certain number of lanes."""
+    """Functions that intersect packets with Gaussians, generated for one number of rays per packet."""
 
     hit_distances: Any
     hit_responses: Any
@@ -69,11 +70,11 @@ def packet_hits_of(lanes: int) -> PacketHits:
 
     @wp.func
     def hit_distances(particle: Particle, scale: float, hit_distance: int, begin: float, packet: PacketRays):
-        """Intersects each ray with a Gaussian, widened by the ray's footprint.
+        """Intersects each ray of a packet with a Gaussian, widened by the ray's footprint.
 
-        Returns the distance that orders hits (FAR without a hit), the squared canonical distance at the peak of the
-        response, and HIT_NONE, HIT_FAR or HIT_NEAR. The response of a hit peaks before ``t_max``. That of a near hit
-        peaks up to ``t_min``, or up to ``begin`` if that is nearer.
+        Returns three values per ray: the distance by which hits are sorted (FAR without a hit), the squared canonical
+        distance at the peak of the response, and HIT_NONE, HIT_FAR or HIT_NEAR. Hits peak before ``t_max``. Those that
+        peak no farther than ``t_min``, or ``begin`` if that is smaller, are HIT_NEAR.
         """
         origin = packet.origin
         direction = packet.direction
@@ -127,10 +128,10 @@ def packet_hits_of(lanes: int) -> PacketHits:
 
     @wp.func
     def hit_responses(particle: Particle, begin: float, packet: PacketRays):
-        """Intersects each ray with a Gaussian as ``hit_distances`` does, but does not compute the distance.
+        """Intersects each ray of a packet with a Gaussian, without footprints and without the hit distance.
 
-        Returns the kind of hit, and the numerator and denominator of the squared canonical distance, because most rays
-        do not need their quotient.
+        Returns HIT_NONE, HIT_FAR or HIT_NEAR per ray as ``hit_distances`` does, and numerator and denominator of the
+        squared canonical distance, because most rays do not need their quotient.
         """
         origin = packet.origin
         direction = packet.direction
@@ -184,9 +185,10 @@ def packet_hits_of(lanes: int) -> PacketHits:
         rays: RayData,
         first: int,
     ) -> int:
-        """Sets the kind of near hits to HIT_NONE unless the Gaussian is of another layer; returns 0 if no hit is left.
+        """Turns each HIT_NEAR into HIT_NONE unless the Gaussian is of another layer than the ray's surface.
 
-        ``kind`` is the kind of each ray's hit; ``begin`` is the distance up to which a response peak counts as near.
+        Returns 0 if no ray is left with a hit. ``kind`` has the kind of each ray's hit; ``begin`` is the distance up to
+        which a response peak counts as near. ``first`` is the index of the packet's first ray in ``rays``.
         """
         found = int(0)
         for lane in range(LANES):
@@ -223,37 +225,39 @@ REWIND = wp.constant(wp.float32(PASS_REWIND))
 
 @struct
 class RayProgress:
-    """Progress of blending along a ray."""
+    """How far a ray is blended: its waiting hits, and the last blended hit."""
 
     hit_list: HitList
-    """Hits that nearer hits may still precede, so that they cannot be blended yet."""
+    """Hits found but not blended yet, because traversal may still find nearer ones."""
     next_t: float
-    """Distance of the first hit of ``hit_list``; FAR: the list is empty."""
+    """Distance of the nearest hit in ``hit_list``; FAR: the list is empty."""
     start_t: float
-    """Distance of the last hit blended in earlier passes; hits up to (start_t, start_index) are skipped."""
+    """Distance of the last hit blended in earlier passes, with index ``start_index``; this pass skips hits up to it."""
     start_index: int
     last_t: float
-    """Distance of the farthest blended hit."""
+    """Distance of the farthest hit blended so far."""
     last_index: int
     blended: int
-    """Number of hits blended in the current stochastic pass."""
+    """STRATEGY_PASS: number of hits blended since the last random decision whether the ray ends."""
 
 
 @struct
 class TracedPacket:
-    """State of a packet during tracing, one lane for each ray; local arrays of the kernel."""
+    """Hit lists and blending progress of a packet's rays, one lane for each ray; arrays are local to the kernel."""
 
     rays: wp.array[RayProgress]
     hits: wp.array[Hit]
-    """Slots of the hit lists of all rays."""
+    """Hits of all rays; each lane owns an equal range, to which its hit list refers."""
     cut_t: wp.array[float]
-    """Distance from which on hits, from (cut_t, cut_index), are left to another pass."""
+    """Distance of the nearest hit that a full list had to drop; it and all farther hits wait for another pass.
+
+    Ties are broken by ``cut_index``, the index of the dropped hit's Gaussian."""
     cut_index: wp.array[int]
 
 
 @wp.func
 def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
-    """Empties a ray's hit list for a new pass, which starts behind the last blended hit."""
+    """Empties a ray's hit list for a new traversal of the BVH that finds the hits behind the last blended one."""
     progress.hit_list = empty_list(first_slot)
     progress.next_t = FAR
     progress.start_t = progress.last_t
@@ -262,7 +266,7 @@ def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
 
 @wp.func
 def ray_of(rays: RayData, i: int) -> Ray:
-    """Returns ray ``i`` of the arrays."""
+    """Returns ray ``i`` of the arrays as one struct."""
     ray = Ray()
     ray.origin = rays.origin[i]
     ray.direction = rays.direction[i]
@@ -274,7 +278,10 @@ def ray_of(rays: RayData, i: int) -> Ray:
 
 @wp.func
 def surface_distance(scene: SceneBvh, ray: Ray, t_max: float, index: int, t: float) -> float:
-    """Returns the distance, at least 0, of the surface of the scene's Gaussian ``index``, which a ray hits at ``t``."""
+    """Returns the distance, at least 0, at which a ray meets the surface of Gaussian ``index``, hit at ``t``.
+
+    With HIT_HULL it is ``t``, else the peak of the Gaussian's response. ``index`` counts over all splat instances.
+    """
     instance = scene.instances[instance_of(scene.instances, index)]
     if instance.hit_distance == HIT_HULL:
         return larger(t, 0.0)
@@ -302,7 +309,10 @@ def blend_hits(
     radiance: GaussianHits,
     profiles: wp.array[HitProfiles],
 ) -> bool:
-    """Blends the stored hits of ray ``i`` nearer than ``bound``; returns whether the ray is opaque afterwards."""
+    """Blends the hits of ray ``i`` in its list that are nearer than ``bound``, where no nearer hit can follow.
+
+    Returns whether the ray is opaque afterwards. ``profiles``, if given, receives every blended hit.
+    """
     ray = ray_of(rays, i)
     if config.offset < FAR:
         ray.t_min = 0.0  # small Gaussians count even before it
@@ -348,7 +358,7 @@ def blend_hits(
 
 @wp.func
 def begin_rays(traced: TracedPacket):
-    """Resets the blending progress of all rays."""
+    """Resets the blending progress of all rays of a packet."""
     for lane in range(traced.rays.shape[0]):
         traced.rays[lane].last_t = -FAR
         traced.rays[lane].last_index = -1
@@ -357,18 +367,18 @@ def begin_rays(traced: TracedPacket):
 
 @wp.func
 def end_of_hits(limit: float, scene: SceneBvh) -> float:
-    """Returns the upper bound of a ray's hit distances, given the ray's end ``limit``.
+    """Returns the largest distance that a hit may have on a ray that ends at ``limit``.
 
-    With HIT_MEAN, the bound is FAR, because a Gaussian may respond before the limit although its mean lies behind it.
+    With HIT_MEAN it is FAR, because a Gaussian may respond before the limit although its mean lies behind it.
     """
     return wp.where(scene.hit_distance == HIT_MEAN and limit > 0.0, FAR, limit)
 
 
 @wp.func
 def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData, scene: SceneBvh) -> float:
-    """Begins a pass of all rays of the packet.
+    """Begins a traversal of the BVH for the hits that earlier passes of a packet left.
 
-    Returns the smallest distance at which a hit may count on any ray of the packet or its thread group.
+    Returns the smallest distance at which a hit may count on any ray of the packet or of its group of CUDA threads.
     """
     begin = float(FAR)
     slots = traced.hits.shape[0] // traced.rays.shape[0]
@@ -400,7 +410,10 @@ def blend_final_hits(
     radiance: GaussianHits,
     profiles: wp.array[HitProfiles],
 ) -> float:
-    """Blends the stored hits of all rays nearer than ``bound``; returns the distance of the nearest remaining hit."""
+    """Blends the hits of all rays that are nearer than ``bound``, where traversal can find no nearer ones.
+
+    Returns the distance of the nearest hit that is left in any list; FAR: none.
+    """
     nearest = float(FAR)
     for lane in range(traced.rays.shape[0]):
         if traced.rays[lane].next_t < bound:
@@ -415,7 +428,7 @@ def blend_final_hits(
 
 @wp.func
 def is_cut(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> bool:
-    """Returns whether any ray of the packet or its thread group has hits left for another pass."""
+    """Returns whether a list of the packet, or of its group of CUDA threads, dropped hits: another pass is due."""
     found = float(0.0)
     for lane in range(traced.rays.shape[0]):
         found = larger(found, wp.where(traced.cut_t[lane] < end_of_hits(packet.limit[lane], scene), 1.0, 0.0))
@@ -431,7 +444,7 @@ def close_last_pass(
     i: int,
     radiance: GaussianHits,
 ):
-    """Accepts or rejects the last stochastic pass of ray ``i`` at random; it has fewer hits than a full pass."""
+    """STRATEGY_PASS: decides at random whether ray ``i`` ends, after its last hits, fewer than ``hits_per_pass``."""
     if progress.blended > 0:
         index = progress.last_index
         depth = surface_distance(scene, ray_of(rays, i), t_max, index, progress.last_t)
@@ -440,10 +453,10 @@ def close_last_pass(
 
 
 class PacketTracing(NamedTuple):
-    """Tracing types and functions for a certain number of lanes."""
+    """Warp types and functions that trace packets, generated for one number of rays per packet."""
 
     storage: Any
-    """Type of the local variable that stores a TracedPacket."""
+    """Warp struct of the kernel's local variable whose memory the arrays of a TracedPacket point to."""
     traced_packet: Any
     buffer_hits: Any
 
@@ -459,7 +472,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @struct
     class TracedStorage:
-        """Local variable that stores a TracedPacket."""
+        """Local variable of a kernel whose memory the arrays of a TracedPacket point to."""
 
         rays: storage_of(RayProgress, lanes)
         hits: storage_of(Hit, HITS)
@@ -468,7 +481,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def traced_packet(storage: wp.ref[TracedStorage]) -> TracedPacket:
-        """Returns the packet that is stored in a local variable."""
+        """Returns a TracedPacket whose arrays point to the memory of the local variable ``storage``."""
         traced = TracedPacket()
         traced.rays = wp.array(ptr=wp.address_of(storage.rays), shape=(LANES,), dtype=RayProgress)
         traced.hits = wp.array(ptr=wp.address_of(storage.hits), shape=(HITS,), dtype=Hit)
@@ -478,9 +491,9 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def hits_before_cut(traced: TracedPacket, t: wp.ref[Floats], kind: Ints, index: int) -> int:
-        """Sets the distances of missing hits and of hits behind their ray's cut to FAR.
+        """Sets the distance to FAR for rays that miss the Gaussian, or hit it beyond ``cut_t`` of their list.
 
-        Returns whether any hit is left.
+        Returns 0 if no hit is left.
         """
         found = int(0)
         distances = t
@@ -494,7 +507,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def accepted_hits(t: Floats, index: int, alpha: Floats, config: TraceData, rays: RayData, first: int) -> Floats:
-        """Accepts each hit with a probability of its alpha; returns the hit's distance, or FAR if it is rejected."""
+        """STRATEGY_HIT: accepts each hit with probability alpha; returns its distance, or FAR if it is rejected."""
         dimension = mix(wp.uint32(index))
         for lane in range(LANES):
             number = draw_mixed(rays.sample_key[first + lane], dimension)
@@ -512,9 +525,10 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
         rays: RayData,
         first: int,
     ) -> float:
-        """Inserts the hits of a Gaussian into the lists of their rays.
+        """Adds each ray's hit with a Gaussian to the ray's sorted list; a full list drops its farthest hit.
 
-        Returns the smallest distance of a list's first hit.
+        Returns the smallest distance of the nearest hit in a changed list; FAR: no list changed. ``first`` is the index
+        of the packet's first ray in ``rays``.
         """
         index = instance.first + particle.index
         begin = float(FAR)

@@ -19,18 +19,18 @@ from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstan
 
 @struct
 class ParticleHit:
-    """Intersection of a single ray with a Gaussian."""
+    """Intersection of a single ray with a Gaussian: distance, canonical distance, and whether it is near the origin."""
 
     t: float
-    """Distance by which hits are ordered; FAR: no hit."""
+    """Distance along the ray by which hits are sorted; FAR: the ray misses the Gaussian."""
     distance2: float
-    """Squared canonical distance at the peak of the response."""
+    """Smallest squared distance of the ray from the mean in standard deviations, where the response peaks."""
     is_near: bool
-    """True if the hit lies within the ray's shadow offset, where it counts only if the Gaussian is of another layer."""
+    """True: the hit is so close to the ray's origin that it counts only if the Gaussian is of another surface layer."""
 
 
 SURFACE_DEPTH_SCALES = 3.0
-"""Largest distance of a Gaussian's surface from its mean along a ray, in largest scales: the Gaussian ends there.
+"""The surface of a Gaussian lies at most this many of its largest scales before or behind its mean on a ray.
 
 Only Gaussians smaller than a pixel reach this limit, because the pixel's footprint shows them beyond their extent."""
 
@@ -43,7 +43,7 @@ TINY = wp.constant(wp.float32(1.0e-30))
 
 @wp.func
 def distance_squared(kernel: KernelData, log_response: float) -> float:
-    """Returns the squared canonical distance at which a Gaussian's response has the logarithm ``log_response``.
+    """Returns the squared distance from the mean, in standard deviations, at which log(response) is ``log_response``.
 
     ``log_response`` is at most 0.
     """
@@ -58,10 +58,9 @@ def distance_squared(kernel: KernelData, log_response: float) -> float:
 
 @wp.func
 def reach_squared(kernel: KernelData, opacity: float) -> float:
-    """Returns the squared canonical distance beyond which a Gaussian is ignored; negative: it is ignored everywhere.
+    """Returns the squared distance, in standard deviations, up to which rays hit a Gaussian; negative: never.
 
-    A Gaussian ends where its alpha falls to 1/255 or, if that is nearer, where its response falls to ``min_response``;
-    with adaptive clamping, where its response times opacity does.
+    A Gaussian ends where its alpha falls to 1/255, or earlier where its response falls to the kernel's minimum.
     """
     least = OPACITY_MIN / wp.max(opacity, TINY)
     if kernel.adaptive != 0:
@@ -75,7 +74,7 @@ def reach_squared(kernel: KernelData, opacity: float) -> float:
 
 @wp.func
 def alpha_of_degree(kernel: KernelData, log_opacity: float, distance2: float) -> float:
-    """Returns a Gaussian's alpha at a squared canonical distance within its reach, for any kernel degree."""
+    """Returns a Gaussian's alpha at a squared canonical distance within its reach, for kernels of any degree."""
     if kernel.degree == 0:
         return wp.min(wp.exp(log_opacity) * wp.max(1.0 - kernel.falloff * wp.sqrt(distance2), 0.0), ALPHA_LIMIT)
     return alpha_from_log(log_opacity - kernel.falloff * wp.pow(distance2, 0.5 * float(kernel.degree)))
@@ -83,7 +82,7 @@ def alpha_of_degree(kernel: KernelData, log_opacity: float, distance2: float) ->
 
 @wp.func
 def canonical_from_object(rotation: wp.quat, scale: wp.vec3) -> wp.mat33:
-    """Returns the matrix from object to canonical space: the inverse of rotation times scale."""
+    """Returns the inverse of rotation times scale, which maps object space to a Gaussian's canonical space."""
     axes = wp.quat_to_matrix(rotation)
     return wp.matrix_from_rows(
         wp.vec3(axes[0, 0], axes[1, 0], axes[2, 0]) / scale[0],
@@ -94,7 +93,7 @@ def canonical_from_object(rotation: wp.quat, scale: wp.vec3) -> wp.mat33:
 
 @wp.func
 def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle:
-    """Builds the BVH record of Gaussian ``i``."""
+    """Prepares Gaussian ``i`` for ray intersection: the record that the leaves of a BVH store."""
     particle = Particle()
     particle.canonical_from_object = canonical_from_object(gaussians.rotations[i], gaussians.scales[i])
     particle.mean = gaussians.means[i]
@@ -107,10 +106,10 @@ def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle
 
 @wp.func
 def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
-    """Returns the tightest axis-aligned box of Gaussian ``i``'s bounding ellipsoid.
+    """Returns the axis-aligned box, object space, around the ellipsoid within which rays hit Gaussian ``i``.
 
     The box grows by a few units in the last place of its longest side, to cover rounding of rotation, box and ray. It
-    is inverted if rays always ignore the Gaussian.
+    is inverted if rays never hit the Gaussian.
     """
     box = Box()
     box.low = wp.vec3(FAR)
@@ -130,9 +129,7 @@ def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
 def ellipsoid_normal(
     instance: SplatInstanceData, gaussians: GaussianData, i: int, origin: wp.vec3, direction: wp.vec3, ray: Ray
 ) -> wp.vec3:
-    """Returns the unit normal, facing the ray, where the ray enters the bounding ellipsoid of Gaussian ``i``.
-
-    The normal is in object space.
+    """Returns the unit normal, object space, towards the ray, where a ray enters the ellipsoid of Gaussian ``i``.
 
     ``origin`` and ``direction`` of the ray are in object space, ``ray`` itself is in world space.
     """
@@ -163,7 +160,7 @@ def gaussian_color(gaussians: GaussianData, i: int, eye: wp.vec3, sh_degree: int
 
 @wp.func
 def gaussian_facing(gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
-    """Returns the normal of the max-density plane of Gaussian ``i`` as seen from ``eye``, object space."""
+    """Returns the unit normal of the max-density plane of Gaussian ``i`` as seen from ``eye``, both object space."""
     rotation = wp.quat_to_matrix(gaussians.rotations[i])
     return gaussian_normal(rotation, gaussians.scales[i], eye - gaussians.means[i])
 
@@ -173,7 +170,7 @@ def gaussian_facing(gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
 
 @wp.func
 def world_ray(i: int, footprint: float, rays: RayData) -> TreeRay:
-    """Sets up ray ``i`` for the top-level tree.
+    """Sets up ray ``i`` in world space, for the top-level tree over all splat instances.
 
     ``footprint`` is the largest standard deviation by which the ray widens Gaussians of any instance, in pixel widths.
     """
@@ -183,7 +180,7 @@ def world_ray(i: int, footprint: float, rays: RayData) -> TreeRay:
 
 @wp.func
 def ray_in_instance(i: int, instance: SplatInstanceData, hit_distance: int, rays: RayData) -> TreeRay:
-    """Sets up ray ``i`` in an instance's space; ``hit_distance`` is HIT_PEAK, HIT_HULL or HIT_MEAN."""
+    """Sets up ray ``i`` in the object space of a splat instance; ``hit_distance`` is HIT_PEAK, HIT_HULL or HIT_MEAN."""
     origin = instance.object_from_world * rays.origin[i] + instance.object_from_world_offset
     direction = instance.object_from_world * rays.direction[i]
     footprint = footprint_of_ray(instance.footprint, rays.spread[i], instance.scale)
@@ -194,10 +191,10 @@ def ray_in_instance(i: int, instance: SplatInstanceData, hit_distance: int, rays
 def hit_particle(
     particle: Particle, ray: TreeRay, scale: float, hit_distance: int, begin: float, end: float
 ) -> ParticleHit:
-    """Intersects a ray with a Gaussian, widened by the ray's footprint.
+    """Intersects a single ray with a Gaussian, widened by the ray's footprint.
 
-    ``scale`` is the scale from the ray's space to the world. Hits whose response peaks up to ``begin`` are marked as
-    near; the response must peak before ``end``.
+    ``scale`` is the uniform scale from object to world space. The response must peak before distance ``end``; hits that
+    peak no farther than ``begin`` are marked as near.
     """
     hit = ParticleHit()
     hit.t = FAR
@@ -240,9 +237,10 @@ def alpha_at(kernel: KernelData, particle: Particle, distance2: float) -> float:
 
 @wp.func
 def begin_past(t_min: float, offset: float, offset_absolute: float, particle: Particle, scale: float) -> float:
-    """Returns the distance from which a Gaussian counts on a ray: ``t_min``, or a shorter one for a small Gaussian.
+    """Returns the smaller of ``t_min`` and ``offset * largest scale + offset_absolute`` of a Gaussian.
 
-    The shorter distance is ``offset`` times the Gaussian's largest scale plus ``offset_absolute``.
+    From this distance on, the Gaussian may be hit by a ray that starts at a surface. ``scale`` is the uniform scale
+    from object to world.
     """
     return lesser(t_min, offset * scale * particle.largest_scale + offset_absolute)
 
@@ -256,7 +254,7 @@ SCALES_MAX = wp.constant(wp.float32(SURFACE_DEPTH_SCALES))
 def surface_peak(
     rotation: wp.quat, scale: wp.vec3, away: wp.vec3, along: wp.vec3, middle: float, largest_scale: float
 ) -> float:
-    """Returns the distance along a ray at which a Gaussian responds most, limited to the Gaussian's extent.
+    """Returns the distance along a ray at which a Gaussian responds most, at most three largest scales from its mean.
 
     The limit matters where pixel footprints show a Gaussian beyond its extent. ``away`` is the mean relative to the
     ray's origin and ``along`` the direction, object space. ``middle``, the distance of the mean, ``largest_scale`` and
@@ -284,10 +282,10 @@ def surface_distance(
     distance: float,
     mesh_z: float,
 ) -> float:
-    """Returns the distance along a pixel's ray at which a Gaussian responds most, in front of the mesh behind it.
+    """Returns the distance along a pixel's ray at which Gaussian ``i`` of instance ``number`` responds most.
 
-    ``ray`` is in camera space with z = 1, ``distance`` is the distance along it at the mean's view depth, and
-    ``mesh_z`` is the view depth of the mesh in the pixel; inf: none.
+    It is limited to the mesh behind. ``ray`` is in camera space with z = 1, ``distance`` the distance along it at the
+    mean's view depth, and ``mesh_z`` the view depth of the pixel's mesh; inf: none.
     """
     # Fields are read one by one, because copying these structs for each pixel would cost more than the depth.
     asset = instances[number].asset

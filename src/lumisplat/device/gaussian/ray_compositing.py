@@ -1,4 +1,4 @@
-"""Blending of the Gaussians along a ray, and the random acceptance of a stochastic pass.
+"""Blending of the Gaussians along a ray, and the random decision of STRATEGY_PASS whether the ray ends.
 
 The equations are in docs/method/ray_tracing.md#strategies.
 """
@@ -17,7 +17,7 @@ from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 @wp.func
 def load_pixel(hits: GaussianHits, ray: int) -> BlendState:
-    """Returns the blending state of a ray, read from its hits."""
+    """Reads the blending state of a ray from its element of the Gaussian hits."""
     pixel = BlendState()
     pixel.color = hits.color[ray]
     pixel.normal = hits.normal[ray]
@@ -30,7 +30,7 @@ def load_pixel(hits: GaussianHits, ray: int) -> BlendState:
 
 @wp.func
 def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
-    """Writes the blending state of a ray to its hits, except for the depth of its surface."""
+    """Writes the blending state of a ray to its element of the Gaussian hits, except for the surface depth."""
     hits.color[ray] = pixel.color
     hits.normal[ray] = pixel.normal
     hits.transmittance[ray] = pixel.transmittance
@@ -40,7 +40,7 @@ def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
 
 @wp.func
 def hit_color(view: TraceData, instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
-    """Returns the colour of Gaussian ``i`` of an instance as seen from ``eye``, object space."""
+    """Returns the display-referred colour, SH or albedo, of Gaussian ``i`` as seen from ``eye``, object space."""
     if instance.shows_albedo != 0:
         return gaussians.albedo[i]
     return gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree))
@@ -56,10 +56,10 @@ def blend_hit(
     index: int,
     alpha: float,
 ) -> BlendState:
-    """Blends Gaussian ``index`` of the scene behind the Gaussians already blended.
+    """Blends Gaussian ``index``, counted over all splat instances, behind those that a ray has already blended.
 
-    Its colour and max-density plane are evaluated for the unfolded eye: a plane mirror shows what a mirrored camera
-    sees.
+    Colour and normal are those that the eye, unfolded at all mirrors, would see: a plane mirror shows what a mirrored
+    camera sees.
     """
     number = instance_of(instances, index)
     instance = instances[number]
@@ -82,7 +82,7 @@ def blend_hit(
 
 @wp.func
 def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: float, index: int, alpha: float):
-    """Writes the hit of Gaussian ``index``, which ``pixel`` blended last, to the profile of its ray.
+    """Writes a ray's last blended hit, of Gaussian ``index``, to the ray's elements of ``profiles``.
 
     A ray never writes beyond its own elements, even if another packet's rounding gives it more hits than were counted.
     """
@@ -96,11 +96,12 @@ def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: 
 
 @wp.func
 def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
-    """Accepts or rejects a stochastic pass with a probability of its opacity; ``last`` is its farthest Gaussian.
+    """Ends a ray with a probability equal to the opacity of the hits blended since the last decision, or starts anew.
 
-    An accepted pass stands for the whole ray: the transmittance becomes 0, and the surface becomes ``last`` if the pass
-    has none. After a rejected pass, the next pass starts empty. The expectation equals full blending: a pass is reached
-    with the transmittance of the passes before it, accepted with its opacity, and divided by its opacity.
+    An accepted pass stands for the whole ray: the transmittance becomes 0, and the surface becomes ``last``, its
+    farthest Gaussian, if the pass has none. After a rejected pass, the next pass starts empty. The expectation equals
+    full blending: a pass is reached with the transmittance of the passes before it, accepted with its opacity, and
+    divided by its opacity.
     """
     opacity = 1.0 - pixel.transmittance
     if draw(sample_key, wp.uint32(last)) >= opacity:
@@ -117,9 +118,9 @@ def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
 def close_pass(
     pixel: BlendState, hits: GaussianHits, ray: int, sample_key: wp.uint32, depth: float, last: int
 ) -> BlendState:
-    """Ends a stochastic pass of a ray as ``end_pass`` does, and updates the depth of the ray's surface.
+    """Decides at random, by ``end_pass``, whether a ray ends, and updates the depth of its surface.
 
-    ``depth`` is the distance of the surface of ``last``, the farthest Gaussian of the pass.
+    ``last`` is the farthest Gaussian blended since the last decision, and ``depth`` the distance of its surface.
     """
     opacity = 1.0 - pixel.transmittance
     pixel = end_pass(pixel, sample_key, last)

@@ -1,4 +1,4 @@
-"""Captures as lights: sampled directions towards boxes around their Gaussians, and the pdf of such directions.
+"""Captured radiance as a light: directions sampled towards boxes around Gaussians, and the pdf of such directions.
 
 A point is sampled uniformly in one of the boxes. The pdf of its direction integrates over all points of the ray in all
 boxes, so that the radiance of a ray counts fully, whichever Gaussians the ray hits
@@ -12,7 +12,7 @@ from lumisplat.device.structs import struct
 
 @struct
 class EmitterBox:
-    """World-space box around Gaussians of a capture, which is sampled as a light."""
+    """World-space oriented box around bright Gaussians of a capture, which is sampled as a light."""
 
     center: wp.vec3
     box_from_world: wp.mat33
@@ -20,7 +20,7 @@ class EmitterBox:
     half: wp.vec3
     """Half the length of the box along each of its axes, scene units."""
     power: float
-    """Approximate luminance times area of the Gaussians in the box; above 0."""
+    """Approximate sum of luminance times area over the Gaussians in the box; above 0."""
 
 
 TINY = wp.constant(wp.float32(1e-30))
@@ -28,14 +28,14 @@ TINY = wp.constant(wp.float32(1e-30))
 
 @wp.func
 def box_weight(box: EmitterBox, point: wp.vec3) -> float:
-    """Estimates the irradiance at a point by the Gaussians in a box, up to a factor that all boxes share."""
+    """Estimates the irradiance at ``point`` by the Gaussians in ``box``, up to a unit: power over squared distance."""
     away = box.center - point
     return box.power / wp.max(wp.max(wp.dot(away, away), wp.dot(box.half, box.half)), TINY)
 
 
 @wp.func
 def total_weight(point: wp.vec3, boxes: wp.array[EmitterBox]) -> float:
-    """Returns the sum of ``box_weight`` over all boxes at a point."""
+    """Returns the sum over all boxes of ``box_weight``, the estimated irradiance at ``point``."""
     total = float(0.0)
     for k in range(boxes.shape[0]):
         total += box_weight(boxes[k], point)
@@ -44,9 +44,9 @@ def total_weight(point: wp.vec3, boxes: wp.array[EmitterBox]) -> float:
 
 @wp.func
 def chosen_box(u: float, total: float, point: wp.vec3, boxes: wp.array[EmitterBox]) -> int:
-    """Returns the index of a box that is chosen in proportion to ``box_weight`` at a point.
+    """Returns the index of a random box, with probability ``box_weight / total`` at ``point``.
 
-    ``u`` is random, 0..1, and ``total`` the sum of the weights of all boxes.
+    ``u`` is random, 0..1, and ``total`` the sum of ``box_weight`` over all boxes.
     """
     chosen = int(0)
     rest = u * total
@@ -67,7 +67,7 @@ def point_in(box: EmitterBox, u: wp.vec2, v: float) -> wp.vec3:
 
 @wp.func
 def crossing(box: EmitterBox, point: wp.vec3, direction: wp.vec3) -> wp.vec2:
-    """Returns the distances at which a ray enters and leaves a box, both at least 0.
+    """Returns the distances at which a ray enters and leaves a box; 0 where the ray starts inside.
 
     The ray misses the box if the second distance is not larger than the first.
     """
@@ -88,9 +88,10 @@ def crossing(box: EmitterBox, point: wp.vec3, direction: wp.vec3) -> wp.vec2:
 
 @wp.func
 def direction_pdf(point: wp.vec3, direction: wp.vec3, total: float, boxes: wp.array[EmitterBox]) -> wp.vec2:
-    """Returns the pdf of a sampled direction, per steradian, and the distance at which its ray leaves the last box.
+    """Returns a direction's pdf, per steradian, under box sampling, and the distance where its ray leaves all boxes.
 
-    The points of the ray between distances a and b in a box of volume V contribute the pdf (b^3 - a^3) / (3 V).
+    ``total`` is the sum of ``box_weight`` over all boxes. The points of the ray between distances a and b in a box of
+    volume V contribute the pdf (b^3 - a^3) / (3 V), times the box's probability.
     """
     pdf = float(0.0)
     end = float(0.0)

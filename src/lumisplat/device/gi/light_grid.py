@@ -1,4 +1,4 @@
-"""Light grid: world-space cells that each store a few of many lights, among which surfaces choose one.
+"""Light grid: world-space cells that each store a few random lights out of many, from which surfaces choose one.
 
 Without a grid, surfaces in real-time rendering choose lights as paths do. See docs/method/realtime.md#light-grid.
 """
@@ -32,10 +32,10 @@ from lumisplat.device.structs.shading import (
 )
 
 GRID_CELL_SIZE = 1.0 / 4.0
-"""Largest width of a cell as a fraction of its distance from the eye; the widths are powers of two."""
+"""Largest width of a light grid cell as a fraction of its distance from the eye; widths are powers of two."""
 
 GRID_CHOICES = 4
-"""Number of independent selections of lights stored for each cell; each surface uses one of them.
+"""Number of independent random selections of lights for each cell; a surface uses one of them, at random.
 
 Together with the eight cells that a surface may use, this gives 32 selections: more than the 25 pixels whose noise is
 assumed to be independent in the test for changes of light."""
@@ -43,26 +43,28 @@ assumed to be independent in the test for changes of light."""
 
 @struct
 class LightGrid:
-    """The few lights that each world-space cell stores, from which its surfaces choose (docs/method/realtime.md)."""
+    """World-space cells and the few lights that each stores for its surfaces to choose from."""
 
     cell_of: wp.array[int]
-    """Cell of each ray's surface; -1: no cell; ``ALL_LIGHTS``: all lights. Empty: all surfaces choose among all
-    lights."""
+    """For each ray, the index of the light grid cell that its surface uses; -1: the ray has no surface.
+
+    ``ALL_LIGHTS``: the surface chooses among all lights, because there are too many cells. An empty array: all surfaces
+    do."""
     numbers: wp.array[int]
-    """Light indices of each cell, ``SLOTS`` for each; -1: the slot is empty."""
+    """Indices of the lights stored for each cell, ``SLOTS`` consecutive elements per cell; -1: unused element."""
     chances: wp.array[float]
-    """Probability with which each light was stored in its cell; 0 for the last one, which surfaces never choose."""
+    """Probability with which each element of ``numbers`` was stored for its cell; 0: surfaces must not choose it."""
 
 
 # Random branches of a ray's key.
 SURFACE_BRANCH = wp.constant(7)
-"""Random branch that selects one of a ray's two surfaces."""
+"""Branch of a ray's random key that selects one of its two surfaces: Gaussians or mesh."""
 
 CELL_BRANCH = wp.constant(8)
-"""Random branch that selects the cell for a surface."""
+"""Branch of a ray's random key that selects one of the light grid cells around its surface."""
 
 SLOTS = wp.constant(GRID_LIGHTS + 1)
-"""Number of lights stored for each cell: those to choose from, and one more.
+"""Number of lights stored for each cell: GRID_LIGHTS to choose from, and one more that is never chosen.
 
 Lights are stored in the order of random ranks. The rank of the last one determines the probability with which each of
 the others was stored."""
@@ -72,16 +74,16 @@ CHOICES = wp.constant(wp.float32(GRID_CHOICES))
 CELL_SIZE = wp.constant(wp.float32(GRID_CELL_SIZE))
 
 ALL_LIGHTS = wp.constant(-2)
-"""Value in place of a cell: the surface chooses among all lights."""
+"""Value of ``LightGrid.cell_of`` for a surface that chooses among all lights instead of those of a cell."""
 
 NO_CELL = wp.constant(wp.int64(2**63 - 1))
-"""Key of surfaces without a cell; larger than all other keys."""
+"""Cell key of rays without a surface; larger than the keys of all cells."""
 
 LEVEL_LAST = wp.constant(100)
-"""Largest absolute value of a level; the cells of a level are 2^level scene units wide."""
+"""Largest and, negated, smallest n for which light grid cells may be 2^n scene units wide."""
 
 COORDINATES = wp.constant(2**17)
-"""Number of cells along each axis on either side of the origin."""
+"""Cell coordinates lie between -COORDINATES and COORDINATES - 1 along each axis."""
 
 BITS_18 = wp.constant(wp.int64(18))
 
@@ -98,28 +100,30 @@ LEAST = wp.constant(wp.float32(1e-30))
 MOST = wp.constant(wp.float32(LIGHT_POWER_MAX))
 
 FEW = wp.constant(wp.float32(0.01))
-"""Magnitude below which power series replace logarithms and exponentials near 1."""
+"""Below this argument, power series replace ``log(1 - x)`` and ``exp(-x)``, which would cancel."""
 
 grid_values = wp.types.vector(length=GRID_LIGHTS + 1, dtype=wp.float32)
-"""Vector type with one number for each light of a cell."""
+"""Vector type with one float for each light that a cell stores."""
 
 
 @wp.struct
 class GridCell:
-    """Position and size of a cell."""
+    """Centre and size of a cubic cell of the light grid."""
 
     center: wp.vec3
-    """Centre, world space."""
+    """Centre of the cell, world space."""
     half: float
-    """Half the cell's diagonal; surfaces that use the cell's lights are within twice this distance of its centre."""
+    """Half the cell's diagonal, scene units; surfaces that use the cell lie within twice this distance of its centre.
+    """
 
 
 @wp.func
 def grid_key(position: wp.vec3, from_eye: float, u: wp.vec2, v: wp.vec2) -> wp.int64:
-    """Returns the key of the cell whose lights a surface uses.
+    """Returns the key of the light grid cell that a surface at ``position`` uses, at random among its neighbours.
 
     It is the cell that contains a random point of a cell-sized cube around the surface. ``u`` and ``v`` are random,
-    0..1 each; ``v[1]`` selects one of the cell's light selections.
+    0..1 each; ``v[1]`` selects one of the cell's independent selections of lights. ``from_eye`` is the distance from
+    the eye.
     """
     width = wp.max(CELL_SIZE * from_eye, 2.0 * wp.max(wp.abs(position)) / float(COORDINATES))
     if not (width < wp.inf and wp.isfinite(position)):
@@ -151,9 +155,7 @@ def grid_cell(key: wp.int64) -> GridCell:
 
 @wp.func
 def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> float:
-    """Estimates the irradiance by a light at a surface that lies in a cell and faces the light.
-
-    The estimate is above 0 if any surface in the cell receives light.
+    """Estimates the irradiance by a light on surfaces in a cell that face it; above 0 if any of them receives light.
 
     ``environment_mean`` is the mean luminance of the environment.
     """
@@ -164,7 +166,7 @@ def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> f
 
 @wp.func
 def emitter_weight(emitters: EmitterData, cell: GridCell) -> float:
-    """Estimates the irradiance by all emissive triangles at a surface that lies in a cell and faces them."""
+    """Estimates the irradiance by all emissive triangles together on surfaces in a cell that face them."""
     away = emitters.center - cell.center
     nearest2 = wp.max(wp.dot(away, away), wp.max(cell.half * cell.half, emitters.radius * emitters.radius))
     return emitters.power / wp.max(nearest2, LEAST)
@@ -172,7 +174,7 @@ def emitter_weight(emitters: EmitterData, cell: GridCell) -> float:
 
 @wp.func
 def bounded(weight: float) -> float:
-    """Clamps a positive weight, so that a random number divided by it is finite; 0 stays 0."""
+    """Clamps a positive weight to 1e-30..1e30, so that dividing a random number by it stays finite; 0 stays 0."""
     if weight > 0.0:
         return wp.clamp(weight, LEAST, MOST)
     return 0.0
@@ -180,7 +182,7 @@ def bounded(weight: float) -> float:
 
 @wp.func
 def exponential_draw(word: wp.uint32, number: int) -> float:
-    """Draws an exponentially distributed number with mean 1.
+    """Draws an exponentially distributed random number of mean 1 for light ``number``; ``word`` is the random key.
 
     It is -log(1 - x), where x is the centre of one of 2^24 equal steps of 0..1.
     """
@@ -192,7 +194,7 @@ def exponential_draw(word: wp.uint32, number: int) -> float:
 
 @wp.func
 def chance_below(limit: float) -> float:
-    """Returns the probability that an exponentially distributed number of mean 1 is below a limit: 1 - exp(-limit)."""
+    """Returns ``1 - exp(-limit)``, the probability that an exponential random number of mean 1 is below ``limit``."""
     if limit < FEW:
         return limit * (1.0 - limit * (0.5 - limit * (1.0 / 6.0 - limit / 24.0)))
     return 1.0 - wp.exp(-limit)
@@ -202,9 +204,10 @@ def chance_below(limit: float) -> float:
 def grid_light(
     u: float, cell: int, interaction: Interaction, grid: LightGrid, scene: wp.array[ShadingScene]
 ) -> LightChoice:
-    """Chooses one of a cell's lights in proportion to its importance over its probability to be stored in the cell.
+    """Chooses one of the lights stored for ``cell``, in proportion to importance over probability of being stored.
 
-    The importance is evaluated at the surface. ``u`` is random, 0..1; for ``cell`` -1, no light is chosen.
+    The importance is the light's estimated irradiance at the interaction. ``u`` is random, 0..1. No light is chosen
+    (index -1) if ``cell`` is -1 or all importances are 0.
     """
     choice = LightChoice()
     choice.number = -1
@@ -233,9 +236,9 @@ def grid_light(
 
 @wp.func
 def lit_surface(i: int, wave: wp.array[WaveData]) -> Branch:
-    """Chooses which surface of ray ``i`` is lit, in proportion to the light that each surface approximately reflects.
+    """Chooses which surface of ray ``i`` gets the light sample, in proportion to the light that each scatters.
 
-    ``kind`` of the returned branch is the surface: 0 for Gaussians, 1 for a mesh.
+    ``kind`` of the returned branch is 0 for Gaussians, 1 for a mesh, -1 for none.
     """
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], SURFACE_BRANCH), wave[0].rays.sample[i])
     return branch_of(i, u[0], False, Bounce(), wave)
@@ -252,9 +255,10 @@ def sample_light_of(
     wave: wp.array[WaveData],
     rays: RayData,
 ) -> Contribution:
-    """Chooses a light by importance and samples it as ``sample_choice`` does.
+    """Chooses a light for surface ``slot`` of ray ``i``, samples it, and starts the shadow ray to it.
 
-    The light is chosen from the ray's cell if ``grid`` has cells, else from all lights.
+    The light is chosen from the ray's cell if ``grid`` has cells, else from all lights. ``slot`` is 0 for Gaussians, 1
+    for a mesh.
     """
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
     cell = int(ALL_LIGHTS)

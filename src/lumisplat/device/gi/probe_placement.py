@@ -1,4 +1,4 @@
-"""Screen probes: their data, their placement, and reprojection of probes of the previous frame.
+"""Screen probes of real-time rendering: their data, placement, and reprojection from the previous frame.
 
 The equations are in docs/method/realtime.md#screen-probes.
 """
@@ -14,10 +14,10 @@ from lumisplat.device.structs.camera import CameraData
 
 @struct
 class ProbeGrid:
-    """Layout of the screen probes of a frame, in a 1-element array.
+    """Numbers and sizes of a frame's screen probes, in a 1-element array.
 
-    Each tile of pixels has a probe of its own, with the index of the tile in row order, and may have an additional
-    adaptive probe. Adaptive probes follow those of the tiles.
+    Each tile of pixels has a probe of its own, with the index of the tile in row order, and may have one adaptive probe
+    for surfaces that the first does not lie on. Adaptive probes are numbered after those of all tiles.
     """
 
     width: int
@@ -27,103 +27,104 @@ class ProbeGrid:
     tiles_x: int
     tiles_y: int
     adaptive: int
-    """Largest number of adaptive probes."""
+    """Largest number of adaptive probes in a frame."""
     cells: int
     """Number of cells along a side of a probe's octahedral map."""
     history: float
-    """Largest number of samples as which the mean of a cell counts when a sample is added."""
+    """Largest weight, in samples, of a map cell's mean when a new sample is added to it."""
     offset: float
-    """Distance from a probe, in scales of a Gaussian, within which Gaussians do not block the probe's rays."""
+    """Gaussians nearer to a probe than this factor times the largest scale of the probe's Gaussian do not block its
+    rays."""
     frame: int
     has_history: int
-    """1: probes of the previous frame may be continued; 0: the previous frame belongs to another sequence."""
+    """1: the previous frame is of the same sequence, so that its probes are continued; 0: all probes start anew."""
     seed: wp.uint32
 
 
 @struct
 class ProbeData:
-    """Positions and refresh history of probes, one element for each probe."""
+    """Surface points of the screen probes, and when each was refreshed; one element for each probe."""
 
     is_placed: wp.array[int]
     """1: the probe exists; 0: the other fields are undefined."""
     position: wp.array[wp.vec3]
-    """Position, world space."""
+    """World-space position of the probe on its surface."""
     pixel: wp.array[wp.vec2]
-    """Position in the image, pixels: the centre of a pixel."""
+    """Position of the probe in the image, pixels; it is the centre of a pixel."""
     normal: wp.array[wp.vec3]
-    """Surface normal, unit, towards the viewer."""
+    """Unit surface normal at the probe, world space, towards the viewer."""
     distance: wp.array[float]
-    """Distance from the eye, scene units."""
+    """Distance of the probe from the eye, scene units."""
     extent: wp.array[float]
     """Position uncertainty of the probe's surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
     source: wp.array[int]
     """Index of the probe of the previous frame that this probe continues; -1: this probe is new."""
     refresh_count: wp.array[int]
-    """Number of times the probe was refreshed."""
+    """Number of frames in which the probe, or the one it continues, has traced rays."""
     refreshed: wp.array[int]
-    """Number of the last frame in which the probe was refreshed; undefined if it never was."""
+    """Number of the last frame in which the probe traced rays; undefined if it never did."""
 
 
 @struct
 class ProbeCells:
-    """Cells of the probes' octahedral maps, probe by probe, in row order for each probe."""
+    """Cells of the probes' octahedral maps of incoming light: probe by probe, each in row order."""
 
     radiance: wp.array[wp.vec3]
-    """Mean radiance that arrives from the cell's directions, linear."""
+    """Mean linear radiance that arrives at the probe from the cell's directions."""
     nearness: wp.array[float]
-    """Mean inverse hit distance of the cell's rays; 0: the rays escape."""
+    """Mean of 1 / hit distance over the cell's rays, where escaped rays count as 0."""
     samples: wp.array[float]
-    """Number of samples as which the means count when a sample is added; 0: the means are undefined."""
+    """Weight, in samples, of the cell's means when a new sample is added; 0: the cell has no means yet."""
 
 
 @struct
 class ProbeLight:
-    """Light of the probes that pixels look up: filtered cells without gaps, and their SH coefficients."""
+    """Incoming light of the screen probes for lookup by pixels: filtered between probes, and as SH."""
 
     exists: wp.array[int]
-    """1: the probe has light that pixels can look up; one element for each probe."""
+    """For each probe, 1 if it has light that pixels can look up, else 0."""
     radiance: wp.array[wp.vec3]
-    """Radiance that arrives from each cell's directions, linear, ordered as in `ProbeCells`."""
+    """Filtered linear radiance that arrives from each map cell's directions, ordered as in `ProbeCells`."""
     sh: wp.array[wp.vec3]
-    """SH coefficients of the radiance, nine for each probe, in the order of ``lumisplat.math.sh``."""
+    """Nine SH coefficients of each probe's radiance, in the basis order of ``lumisplat.math.sh``."""
 
 
 @struct
 class TileNeeds:
-    """Pixels of each tile that no probe covers, and the best position of an adaptive probe for them."""
+    """For each tile, how many pixels lie on no probe's surface, and where an adaptive probe would serve them."""
 
     uncovered: wp.array[int]
-    """Number of pixels without a suitable probe, among those tested."""
+    """Number of tested pixels of the tile whose surface has no probe in the surrounding tiles."""
     pixel: wp.array[int]
-    """Index of the pixel at which the tile's adaptive probe should be placed."""
+    """Index of the pixel at which the tile's adaptive probe would be placed; -1: none needed."""
     source: wp.array[int]
-    """Index of the probe of the previous frame that the tile's adaptive probe should continue; -1: none."""
+    """Index of the previous frame's probe that the tile's adaptive probe would continue; -1: it would be new."""
 
 
 @struct
 class ProbePlacement:
-    """Pixel chosen for a probe."""
+    """Pixel chosen for the probe of a tile, and the probe that it continues."""
 
     pixel: int
-    """Index of the pixel; -1: none."""
+    """Index of the chosen pixel; -1: no tested pixel is suitable."""
     source: int
-    """Index of the probe of the previous frame that the placed probe should continue; -1: none."""
+    """Index of the previous frame's probe that the placed probe continues; -1: it is new."""
     uncovered: int
-    """Number of pixels at which the probe could be placed; for adaptive probes, pixels that no other probe covers."""
+    """Number of tested pixels that are suitable; for an adaptive probe, those on no other probe's surface."""
 
 
 @struct
 class Match:
-    """A probe of the previous frame that matches a pixel."""
+    """The previous frame's probe that lies on a pixel's surface and is nearest in the image."""
 
     probe: int
-    """Index of the probe; -1: none."""
+    """Index of the previous frame's probe; -1: none lies on the pixel's surface."""
     distance: float
-    """Distance to the probe in the image, pixels, plus ``ADAPTIVE_PENALTY`` where it applies."""
+    """Distance from pixel to probe in the image, pixels; adaptive probes may count as ``ADAPTIVE_PENALTY`` farther."""
 
 
 SEARCH_ROWS = wp.constant(8)
-"""Number of rows and of columns of a tile in which pixels are tested."""
+"""Pixels of a tile are tested for a probe on a lattice with this number of rows and columns."""
 
 COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
 """Smallest cosine between the normals of a pixel and a probe on the same Gaussians, whose normals are noisy."""
@@ -131,24 +132,27 @@ COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
 COSINE_MIN_MESHES = wp.constant(wp.float32(0.95))
 
 SHARE_MIN = wp.constant(wp.float32(0.5))
-"""Coverage of a pixel below which its surface gets a probe only if no pixel of the tile is covered more."""
+"""Pixels whose surface covers less than this fraction of them get a probe only if the tile has no other pixels."""
 
 LOW_COVERAGE_PENALTY = wp.constant(wp.float32(1e12))
-"""Penalty that makes pixels covered by less than ``SHARE_MIN`` the last choice for a probe."""
+"""Added to the cost of pixels covered by less than ``SHARE_MIN``, which makes them the last choice for a probe."""
 
 ADAPTIVE_PENALTY = wp.constant(wp.float32(1e6))
-"""Penalty, pixels, for a tile's own probe that would continue an adaptive probe, so that the two probes do not swap."""
+"""Pixels added to the distance of an adaptive probe when a tile's own probe looks for the one that it continues.
+
+The two probes of a tile then do not swap from frame to frame."""
 
 CUT_OFF_STEPS = wp.constant(4)
-"""Number of steps in the image from a pixel to a probe; after each step, an occluding surface is looked for."""
+"""The line from a pixel to a probe in the image is divided into this many steps; in between, occluders are looked for.
+"""
 
 OCCLUDER_DISTANCE_MAX = wp.constant(wp.float32(0.95))
-"""Largest distance of an occluding surface from the eye, as a fraction of the distance of the pixel or the probe.
+"""A surface between pixel and probe in the image is an occluder if it is nearer to the eye than this fraction.
 
-The nearer of pixel and probe counts."""
+It is a fraction of the distance from the eye of pixel or probe, whichever is nearer."""
 
 DISTANCE_RATIO_MIN = wp.constant(wp.float32(0.85))
-"""Smallest ratio of the distances from the eye of two points that may share a probe.
+"""Two points share a probe only if the nearer one's distance from the eye is at least this fraction of the other's.
 
 At grazing angles, the surface in a tile may be metres long."""
 
@@ -157,9 +161,9 @@ UNIT_32 = wp.constant(wp.float32(2.0**-32))
 
 @wp.func
 def reach_of(grid: ProbeGrid, camera: CameraData, distance: float) -> float:
-    """Returns the width of a tile at a distance from the eye, scene units.
+    """Returns the width of a tile of pixels, in scene units, at a distance from the eye.
 
-    Points this close to a common plane may share a probe.
+    Points may share a probe if they lie this close to a common plane.
     """
     width = float(grid.tile) / wp.min(camera.focal[0], camera.focal[1])
     if camera.model == ORTHOGRAPHIC:
@@ -169,7 +173,11 @@ def reach_of(grid: ProbeGrid, camera: CameraData, distance: float) -> float:
 
 @wp.func
 def fits(probes: ProbeData, i: int, position: wp.vec3, normal: wp.vec3, reach: float, extent: float) -> bool:
-    """Returns whether probe ``i`` lies on the surface of a point: near its plane and with a similar normal."""
+    """Returns whether probe ``i`` exists and lies on the surface of a point: near its plane, with a similar normal.
+
+    ``reach`` is the largest distance from the plane, scene units; ``extent``, the largest scale of the point's
+    Gaussian, replaces it if larger.
+    """
     if i < 0:
         return False
     if probes.is_placed[i] == 0:
@@ -183,7 +191,7 @@ def fits(probes: ProbeData, i: int, position: wp.vec3, normal: wp.vec3, reach: f
 
 @wp.func
 def is_cut_off(pixel: int, probe: int, grid: ProbeGrid, surfaces: SurfacePixels, probes: ProbeData) -> bool:
-    """Returns whether a nearer surface, such as the end of a wall, lies between a pixel and a probe in the image."""
+    """Returns whether a nearer surface, such as a wall's end, lies between ``pixel`` and ``probe`` in the image."""
     start = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
     to_probe = probes.pixel[probe] - start
     nearer = OCCLUDER_DISTANCE_MAX * wp.min(surfaces.distance[pixel], probes.distance[probe])
@@ -197,7 +205,7 @@ def is_cut_off(pixel: int, probe: int, grid: ProbeGrid, surfaces: SurfacePixels,
 
 @wp.func
 def tile_of(grid: ProbeGrid, x: int, y: int) -> int:
-    """Returns the tile at a column and row of tiles; -1: outside the image."""
+    """Returns the index of the tile in column ``x`` and row ``y`` of tiles; -1: outside the image."""
     if x < 0 or y < 0 or x >= grid.tiles_x or y >= grid.tiles_y:
         return -1
     return y * grid.tiles_x + x
@@ -205,7 +213,7 @@ def tile_of(grid: ProbeGrid, x: int, y: int) -> int:
 
 @wp.func
 def probe_of_tile(tile: int, adaptive: int, adaptive_of: wp.array[int]) -> int:
-    """Returns the index of a tile's own probe (``adaptive`` 0) or of its adaptive probe (1); -1: none."""
+    """Returns the probe of a tile: its own for ``adaptive`` 0, its adaptive one for 1; -1: none."""
     if tile < 0 or adaptive == 0:
         return tile
     return adaptive_of[tile]
@@ -213,7 +221,7 @@ def probe_of_tile(tile: int, adaptive: int, adaptive_of: wp.array[int]) -> int:
 
 @wp.func
 def radical_inverse_3(number: int) -> float:
-    """Returns the radical inverse of a number in base 3."""
+    """Returns the radical inverse of ``number`` in base 3, 0..1: its ternary digits mirrored at the point."""
     value = float(0.0)
     digit = float(1.0 / 3.0)
     while number > 0:
@@ -226,7 +234,7 @@ def radical_inverse_3(number: int) -> float:
 
 @wp.func
 def wanted_pixel(grid: ProbeGrid, tile: int) -> wp.vec2:
-    """Returns the preferred position of a new probe in a tile for this frame, 0..1 along each side of the tile.
+    """Returns the position within a tile, 0..1 along each side, at which a new probe is preferred in this frame.
 
     The positions are Halton points over the frames, shifted from tile to tile.
     """
@@ -277,13 +285,13 @@ def match_of(
 
 @wp.func
 def is_similar_distance(distance: float, other: float) -> bool:
-    """Returns whether two points of one surface have similar enough distances from the eye to share a probe."""
+    """Returns whether the smaller of two distances from the eye exceeds ``DISTANCE_RATIO_MIN`` times the larger."""
     return wp.min(distance, other) > DISTANCE_RATIO_MIN * wp.max(distance, other)
 
 
 @wp.func
 def is_covered(grid: ProbeGrid, camera: CameraData, x: int, y: int, surfaces: SurfacePixels, probes: ProbeData) -> bool:
-    """Returns whether one of the four tiles around a pixel has a probe on the pixel's surface.
+    """Returns whether one of the four tiles nearest to pixel (x, y) has its own probe on the pixel's surface.
 
     Adaptive probes do not count.
     """
@@ -314,10 +322,10 @@ def choose_pixel_among(
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
 ) -> ProbePlacement:
-    """Chooses the pixel of a tile for a probe: nearest to a probe of the previous frame, if any lies on its surface.
+    """Chooses the pixel of a tile for a probe: that nearest to a probe of the previous frame on the pixel's surface.
 
-    Otherwise the pixel nearest to the preferred position is chosen. ``rows`` x ``rows`` pixels of the tile are tested;
-    with ``only_uncovered``, only pixels that no probe of this frame covers.
+    If there is none, it is the pixel nearest to ``wanted_pixel``. ``rows`` x ``rows`` pixels of the tile are tested;
+    with ``only_uncovered``, only those on whose surface no probe of this frame lies.
     """
     placement = ProbePlacement()
     placement.pixel = -1
@@ -367,10 +375,7 @@ def choose_pixel_in_tile(
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
 ) -> ProbePlacement:
-    """Chooses the pixel for a tile's own probe by ``choose_pixel_among``.
-
-    If the tested pixels show no surface, all pixels of the tile are tested.
-    """
+    """Chooses the pixel for the own probe of a tile; tests all pixels if a lattice of them shows no surface."""
     placement = choose_pixel_among(
         SEARCH_ROWS, tile, False, grid, camera, camera_before, surfaces, probes_before, probes_before, adaptive_before
     )

@@ -12,47 +12,46 @@ from lumisplat.device.math.sorting import first_not_below
 from lumisplat.device.structs import struct
 
 LAYER_SHIFT = 0.382
-"""Offset, in cells, of the boundaries between layers of cells.
+"""Offset, in cells, of the planes between layers of cells along a face's axis.
 
 Walls often lie at whole numbers, halves or quarters, where rounding would put their points into two layers."""
 
 TILE_CELLS: int = wp.constant(64)
-"""Number of cells of a tile."""
+"""Number of cells of a cache tile, 8 x 8."""
 
 TILE_MEANS: int = wp.constant(85)
-"""Number of means of a tile: 64 + 16 + 4 + 1."""
+"""Number of means that a cache tile stores: 64 cells, and 16 + 4 + 1 squares of cells."""
 
 TILE_MIPS: int = wp.constant(4)
-"""Number of mip levels of a tile's means: squares 1, 2, 4 and 8 cells wide."""
+"""Number of mip levels of a cache tile: means over squares 1, 2, 4 and 8 cells wide."""
 
 NO_TILE: wp.int64 = wp.constant(wp.int64(2**63 - 1))
-"""Key that stands for no tile; larger than all keys of tiles."""
+"""Tile key of samples that belong to no cache tile; larger than all other keys."""
 
 LEVEL_LAST: int = wp.constant(16)
-"""Largest level plus 1: cells are 2^-LEVEL_LAST to 2^(LEVEL_LAST - 1) scene units wide, which takes 5 bits of the key.
-"""
+"""Cells of level n are 2^n scene units wide, with -LEVEL_LAST <= n < LEVEL_LAST; n takes 5 bits of the key."""
 
 NEAR_LEVELS: int = wp.constant(3)
-"""Number of levels by which cells of short rays are finer: a tile of theirs is as wide as one cell of long rays."""
+"""Cells of short rays are 2^NEAR_LEVELS times narrower: their tile is as wide as one cell of long rays."""
 
 COORDINATE_BITS: int = wp.constant(18)
-"""Number of key bits for each coordinate of a tile."""
+"""Number of bits of a tile's key for each of its three coordinates."""
 
 CELLS_REACH: float = wp.constant(8191.0)
-"""Limit of cell coordinates: a cell is at least as wide as its largest coordinate over this number.
+"""A cell is at least as wide as its distance from the origin, along any axis, over this number.
 
 Widths are then rounded down to a power of two, and cells of short rays are eight times narrower; the coordinates of all
 cells fit the key.
 """
 
 REFLECTANCE_MAX: float = wp.constant(0.99)
-"""Upper limit of the albedo for cached light, so that interreflection between white walls converges."""
+"""The albedo by which surfaces reflect cached light is limited to this, so that light between white walls converges."""
 
 AGE_LAST: int = wp.constant(2**31 - 1)
-"""Frame number that stands for no tile; larger than all frame numbers."""
+"""Frame number of unused tiles when tiles are sorted by age; larger than all frame numbers."""
 
 COUNT_LIVE: int = wp.constant(0)
-"""Index in ``CacheTiles.counts`` of the number of live tiles."""
+"""Index in ``CacheTiles.counts`` of the number of tiles that the cache holds."""
 
 COUNT_NEW: int = wp.constant(1)
 """Index in ``CacheTiles.counts`` of the number of tiles that an insertion adds."""
@@ -72,7 +71,7 @@ COUNTS: int = wp.constant(5)
 
 @struct
 class CacheSamples:
-    """Hits of rays, as samples that are added to the cache or looked up in it; one element for each ray."""
+    """Surface points that rays hit, to be added to the radiance cache or looked up in it; one element for each ray."""
 
     is_active: wp.array[bool]
     """False: the ray hit nothing, and the other fields are undefined."""
@@ -83,114 +82,122 @@ class CacheSamples:
     direction: wp.array[wp.vec3]
     """Direction of the ray, unit, world space."""
     distance: wp.array[float]
-    """Length of the ray, scene units."""
+    """Length of the ray from its origin to the hit, scene units."""
     from_eye: wp.array[float]
     """Distance of the hit from the eye, scene units; cells grow with it."""
     albedo: wp.array[wp.vec3]
     """Diffuse albedo of the hit surface, linear."""
     radiance: wp.array[wp.vec3]
-    """Linear radiance that the surface reflects from lights and environment directly, without emission."""
+    """Linear radiance that the hit surface reflects of direct light from lights and environment, without emission."""
     extent: wp.array[float]
     """Position uncertainty of the surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
 
 
 @struct
 class CachePoints:
-    """Points in cells from which rays gather indirect light, one element for each ray.
+    """Surface points of cache cells from which rays gather indirect light; one element for each ray.
 
     The points of one cell are adjacent, as are those of one tile.
     """
 
     is_active: wp.array[bool]
-    """False: there is no point, and the other fields are undefined."""
+    """False: the element has no ray, and its other fields are undefined."""
     position: wp.array[wp.vec3]
     """Position of the point, world space."""
     normal: wp.array[wp.vec3]
     """Surface normal at the point, unit, world space."""
     extent: wp.array[float]
-    """Position uncertainty of the sample from which the point was made, scene units."""
+    """Largest scale of the Gaussian on which the point lies, scene units: its position uncertainty; 0 for meshes."""
     key: wp.array[wp.uint32]
-    """Key of the random numbers of the cell's rays, see ``device/math/random.py``.
+    """Random key of the rays of the point's cell, from the cell's tile key and the frame number.
 
-    The key depends on cell and frame, but not on the slot of the tile."""
+    It does not depend on where the tile's data are stored."""
     ray: wp.array[int]
-    """Index of the ray among the rays of its cell, from 0."""
+    """Index, from 0, of this ray among the rays of the same cell."""
     rays: wp.array[int]
-    """Number of rays of the point's cell."""
+    """Number of rays that the point's cell sends in this frame."""
     slot: wp.array[int]
-    """Slot of the point's tile; -1: there is no point."""
+    """Index, in the arrays of CacheTiles, of the tile that the point's cell belongs to; -1: no ray."""
     cell: wp.array[int]
-    """Index of the point's cell in its tile, in row order."""
+    """Index of the point's cell among the 8 x 8 cells of its tile, in row order."""
 
 
 @struct
 class CacheGrid:
-    """Settings of the cache for kernels."""
+    """Settings of the radiance cache, as kernels need them."""
 
     cell_size: float
     """Largest width of a cell as a fraction of its distance from the eye."""
     history: float
-    """Number of frames over which direct light is averaged."""
+    """Number of frames over which a cell's direct light is averaged; later frames replace a share of the mean."""
     bounce_history: float
-    """Number of rays over which indirect light is averaged."""
+    """Number of rays over which a cell's indirect light is averaged; later rays replace a share of the mean."""
     samples_min: float
-    """Number of samples below which a mean counts as noisy."""
+    """A mean of fewer samples counts as noisy, so that lookups use a mean over a larger square instead."""
     tiles: int
     """Largest number of tiles that the cache holds."""
 
 
 @struct
 class CacheTiles:
-    """Live tiles of the cache.
+    """Tiles of 8 x 8 cells that the radiance cache holds, found by sorted keys.
 
-    The keys of the tiles are sorted; the data of a tile stay in one slot. ``slots`` is a permutation of all slots:
-    those of the live tiles, then the free ones.
+    The data of a tile stay at one index, its slot. ``slots`` is a permutation of all slots: those of the tiles in the
+    order of ``keys``, then the free ones.
     """
 
     counts: wp.array[int]
-    """Numbers of tiles, at the indices ``COUNT_LIVE`` to ``COUNT_DROPPED``."""
+    """Statistics of tiles: numbers held, added, in excess, evicted and dropped, at ``COUNT_LIVE`` to
+    ``COUNT_DROPPED``."""
     keys: wp.array[wp.int64]
-    """Keys of the live tiles in ascending order, then ``NO_TILE``."""
+    """Keys of the tiles that the cache holds, ascending; unused elements hold ``NO_TILE``."""
     slots: wp.array[int]
-    """Slot of the tile with each key of ``keys``, then the free slots."""
+    """Slot of each tile, in the order of ``keys``, then the free slots. A slot indexes the arrays that follow."""
     used: wp.array[int]
-    """Number of the last frame in which a ray hit the tile, by slot."""
+    """For each slot, the number of the last frame in which a ray hit its tile."""
     bounced: wp.array[int]
-    """One more than the last frame in which the tile's cells sent rays, by slot; 0: never."""
+    """For each slot, 1 + number of the last frame in which the tile's cells sent rays for indirect light; 0: never."""
     filled: wp.array[int]
-    """Number of cells of the tile that have samples, by slot."""
+    """For each slot, the number of cells of its tile that have samples."""
     direct: wp.array[wp.vec4]
-    """Mean linear radiance reflected from lights directly, and the number of its samples; ``TILE_MEANS`` for each
-    slot."""
-    indirect: wp.array[wp.vec4]
-    """Mean incident indirect radiance, cosine-weighted and linear (irradiance over pi), and the number of its rays.
+    """xyz: mean linear radiance that surfaces reflect of direct light; w: number of samples in the mean.
 
-    There are ``TILE_MEANS`` for each slot. Incident radiance is stored because the surfaces of a cell may differ in
+    Each slot has ``TILE_MEANS`` elements."""
+    indirect: wp.array[wp.vec4]
+    """xyz: mean linear indirect radiance arriving, cosine-weighted (irradiance over pi); w: number of rays in the
+    mean.
+
+    Each slot has ``TILE_MEANS`` elements. Arriving radiance is stored, because the surfaces of a cell may differ in
     albedo."""
     frames: wp.array[int]
-    """Number of frames in which each cell had samples, at most ``history``; 0: empty. ``TILE_CELLS`` for each slot."""
+    """For each cell, the number of frames that had samples in it, at most ``CacheGrid.history``; 0: empty.
+
+    Each slot has ``TILE_CELLS`` elements."""
     updated: wp.array[int]
-    """Number of the last frame in which each cell had samples, by slot and cell."""
+    """For each cell, the number of the last frame that had samples in it; each slot has ``TILE_CELLS`` elements."""
     position: wp.array[wp.vec3]
-    """World-space position of one sample of each cell from frame ``updated``, by slot and cell."""
+    """For each cell, the world-space position of one random sample of its last frame; ``TILE_CELLS`` elements per
+    slot.
+
+    Rays for indirect light start there."""
     normal: wp.array[wp.vec3]
-    """Normal of the sample at ``position``."""
+    """For each cell, the unit surface normal of the sample at ``position``, world space."""
     extent: wp.array[float]
-    """Position uncertainty of the sample at ``position``, scene units."""
+    """For each cell, the largest scale of the Gaussian of the sample at ``position``, scene units; 0 for meshes."""
 
 
 @struct
 class SortedSamples:
-    """Cache samples sorted by tile, cell and index."""
+    """Order of a frame's cache samples, sorted by tile, then by cell, then by index."""
 
     keys: wp.array[wp.int64]
-    """Keys of the samples' tiles, ascending; ``NO_TILE`` for samples without a tile.
+    """Tile keys of the samples in ascending order; ``NO_TILE`` for samples that belong to no tile.
 
     The second half of the array is scratch space for the sort."""
     order: wp.array[int]
     """Indices of the samples in sorted order; the second half of the array is scratch space for the sort."""
     cells: wp.array[int]
-    """Index of each sample's cell in its tile, by sample index."""
+    """For each sample, unsorted, the index of its cell among the 8 x 8 cells of its tile."""
 
 
 SHIFT = wp.constant(wp.float32(LAYER_SHIFT))
@@ -200,29 +207,29 @@ COORDINATE_MASK = wp.constant(2**18 - 1)
 BITS_32 = wp.constant(wp.int64(32))
 
 KEY_ORIGIN = wp.constant(wp.uint32(0x63616368))
-"""Initial state from which the random keys of cells are computed, distinct from that of pixels."""
+"""Initial state of the hash that gives cache cells random keys different from those of pixels."""
 
 
 @wp.struct
 class CacheCell:
-    """Tile and cell of a sample."""
+    """Address of a cache cell: key of its tile, and its index in the tile."""
 
     key: wp.int64
-    """Key of the tile; ``NO_TILE``: the sample has no cell."""
+    """Key of the cell's tile; ``NO_TILE``: the sample lies too far out or is not finite."""
     cell: int
-    """Index of the cell in the tile, in row order."""
+    """Index of the cell among the 8 x 8 cells of its tile, in row order."""
 
 
 @wp.struct
 class CellLight:
-    """Linear radiance that leaves a sample's surface, looked up in the cache."""
+    """Linear radiance that leaves a hit surface according to the cache, split into direct and indirect light."""
 
     direct: wp.vec3
-    """Reflected direct light of lights and environment."""
+    """Linear radiance that the surface reflects of direct light from lights and environment."""
     indirect: wp.vec3
-    """Reflected light of other surfaces."""
+    """Linear radiance that the surface reflects of light from other surfaces."""
     is_valid: bool
-    """True if any ray has sampled the indirect light."""
+    """True if ``indirect`` comes from at least one ray; false: no ray has sampled it, and it is 0."""
 
 
 @wp.func
@@ -239,7 +246,7 @@ def width_of(level: int) -> float:
 
 @wp.func
 def level_of(grid: CacheGrid, position: wp.vec3, from_eye: float) -> int:
-    """Returns the level of the cells for long rays at a position; cells are 2^level scene units wide."""
+    """Returns n such that cells for long rays at a position are 2^n scene units wide; it grows with ``from_eye``."""
     reach = wp.max(wp.abs(position))
     width = wp.max(grid.cell_size * from_eye, reach / CELLS_REACH)
     # The next coarser and finer levels and the levels of short rays must exist, too.
@@ -248,7 +255,7 @@ def level_of(grid: CacheGrid, position: wp.vec3, from_eye: float) -> int:
 
 @wp.func
 def face_of(normal: wp.vec3) -> int:
-    """Returns the face, 0 to 5, of a normal: twice the index of its dominant axis, plus 1 if it is negative there."""
+    """Returns which of six axis directions a normal is closest to: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z."""
     axis = int(2)
     if wp.abs(normal[0]) >= wp.abs(normal[1]) and wp.abs(normal[0]) >= wp.abs(normal[2]):
         axis = 0
@@ -259,15 +266,15 @@ def face_of(normal: wp.vec3) -> int:
 
 @wp.func
 def with_coordinate(key: wp.int64, coordinate: int) -> wp.int64:
-    """Appends a coordinate to a key as its lowest bits."""
+    """Shifts a key to the left and puts the bits of a tile coordinate into its low bits."""
     return (key << wp.int64(COORDINATE_BITS)) | wp.int64(coordinate & COORDINATE_MASK)
 
 
 @wp.func
 def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> CacheCell:
-    """Returns the cell of a given level at a position with a surface normal.
+    """Returns the cache cell, 2^level scene units wide, that contains a surface point with a normal.
 
-    ``is_near`` selects cells of short rays instead of those of long rays.
+    ``is_near`` selects the cells for short rays instead of those for long rays.
     """
     cell = CacheCell()
     cell.key = NO_TILE
@@ -287,13 +294,13 @@ def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> Ca
 
 @wp.func
 def is_of_short_rays(key: wp.int64) -> bool:
-    """Returns whether a tile has cells of short rays, which the key bit before the three coordinates tells."""
+    """Returns whether the tile with this key has cells for short rays, by the bit before the three coordinates."""
     return ((key >> wp.int64(3 * COORDINATE_BITS)) & wp.int64(1)) != wp.int64(0)
 
 
 @wp.func
 def is_near(samples: CacheSamples, i: int, level: int) -> bool:
-    """Returns whether ray ``i`` is shorter than a cell of this level is wide.
+    """Returns whether ray ``i`` is short: its length is below the width of a cell of this level.
 
     The ray's origin may then lie on the other side of a wall from the rest of the cell.
     """
@@ -302,7 +309,7 @@ def is_near(samples: CacheSamples, i: int, level: int) -> bool:
 
 @wp.func
 def cell_of_sample(grid: CacheGrid, samples: CacheSamples, i: int) -> CacheCell:
-    """Returns the cell that a sample is stored in."""
+    """Returns the cache cell that the direct light of sample ``i`` is added to: a finer one for a short ray."""
     level = level_of(grid, samples.position[i], samples.from_eye[i])
     near = is_near(samples, i, level)
     if near:
@@ -312,7 +319,7 @@ def cell_of_sample(grid: CacheGrid, samples: CacheSamples, i: int) -> CacheCell:
 
 @wp.func
 def slot_of(tiles: CacheTiles, key: wp.int64) -> int:
-    """Returns the slot of the tile with a key; -1: the cache has no such tile."""
+    """Returns the slot, the index of stored data, of the tile with this key; -1: the cache has no such tile."""
     live = tiles.counts[COUNT_LIVE]
     rank = first_not_below(tiles.keys, live, key)
     if rank < live:
@@ -323,7 +330,7 @@ def slot_of(tiles: CacheTiles, key: wp.int64) -> int:
 
 @wp.func
 def mean_index(slot: int, cell: int, mip: int) -> int:
-    """Returns the index of the mean over the square of 2^mip x 2^mip cells that contains a cell."""
+    """Returns the index, in the means of ``slot``, of the mean over the 2^mip x 2^mip cells that contain ``cell``."""
     side = 8 >> mip
     before = (4 * (TILE_CELLS - side * side)) // 3
     return slot * TILE_MEANS + before + ((cell >> 3) >> mip) * side + ((cell & 7) >> mip)
@@ -331,9 +338,9 @@ def mean_index(slot: int, cell: int, mip: int) -> int:
 
 @wp.func
 def reliable_mean(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: float, best: wp.vec4) -> wp.vec4:
-    """Returns ``best`` if it has ``samples_min`` samples, else the finest mean around a cell that has as many.
+    """Returns the mean over the smallest square around a cell that has at least ``samples_min`` samples.
 
-    If none has that many, the mean with the most samples is returned.
+    ``best`` is a mean found before: it is returned if it has as many. If none has, the mean with the most samples is.
     """
     if best[3] >= samples_min or slot < 0:
         return best
@@ -348,13 +355,13 @@ def reliable_mean(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: f
 
 @wp.func
 def color_of(mean: wp.vec4) -> wp.vec3:
-    """Returns the radiance of a stored mean, whose fourth component is the number of samples."""
+    """Returns the first three components of a stored mean, its radiance; the fourth is the number of samples."""
     return wp.vec3(mean[0], mean[1], mean[2])
 
 
 @wp.func
 def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3:
-    """Returns the radiance that a sample's surface reflects from the indirect light of its cell."""
+    """Returns the radiance that the surface of sample ``i`` reflects: its albedo times the mean ``indirect``."""
     return wp.cw_mul(wp.min(samples.albedo[i], wp.vec3(REFLECTANCE_MAX)), color_of(indirect))
 
 
@@ -362,7 +369,7 @@ def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3
 def long_ray_radiance(
     tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int, position: wp.vec3, level: int
 ) -> CellLight:
-    """Looks up the direct and indirect radiance of a sample of a long ray at a position in the sample's plane.
+    """Looks up the direct and indirect light of sample ``i`` at ``position``, a point in the plane of its surface.
 
     If a level has too few samples, the next coarser and then the next finer level are looked up: they store values from
     before the camera moved closer or farther away.
@@ -387,10 +394,10 @@ def long_ray_radiance(
 
 @wp.func
 def cached_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int) -> wp.vec3:
-    """Returns the linear radiance leaving a sample's surface, over all bounces, without emission.
+    """Returns the linear radiance leaving the surface of sample ``i``, over all bounces, without emission.
 
-    For a short ray, the direct radiance is the sample's own, and the indirect radiance is that of the fine cells for
-    short rays, because a mean over a larger cell may leak through a wall.
+    For a short ray, the direct light is the sample's own, and the indirect light is that of the fine cells for short
+    rays, because a mean over a larger cell may leak through a wall.
     """
     level = level_of(grid, samples.position[i], samples.from_eye[i])
     if is_near(samples, i, level):
@@ -405,7 +412,7 @@ def cached_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i
 
 @wp.func
 def cell_key(key: wp.int64, cell: int, frame: int) -> wp.uint32:
-    """Returns the key of a cell's random numbers in a frame."""
+    """Returns the random key of cell ``cell`` of the tile with this key in frame number ``frame``."""
     low = wp.uint32(key & wp.int64(0xFFFFFFFF))
     high = wp.uint32(key >> BITS_32)
     word = mix(mix(KEY_ORIGIN + mix(low)) + mix(high))

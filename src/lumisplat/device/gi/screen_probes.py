@@ -31,7 +31,7 @@ from lumisplat.device.structs.rays import RayData
 
 @struct
 class ProbeSum:
-    """Weighted sum of the irradiance or radiance of probes at a pixel."""
+    """Sum over screen probes of weight times irradiance or radiance at a pixel, and sum of the weights."""
 
     total: wp.vec3
     weight: float
@@ -42,27 +42,31 @@ SH_COUNT = wp.constant(9)
 C0 = wp.constant(wp.float32(SH_C0))
 
 COSINE_0 = wp.constant(wp.float32(math.pi))
-"""Factor of SH degree 0 in a convolution with the clamped cosine (Ramamoorthi and Hanrahan 2001)."""
+"""Factor of SH degree 0 when radiance is convolved to irradiance (Ramamoorthi and Hanrahan 2001)."""
 
 COSINE_1 = wp.constant(wp.float32(2.0 * math.pi / 3.0))
 
 COSINE_2 = wp.constant(wp.float32(math.pi / 4.0))
 
 DISTANCE2_MIN = wp.constant(wp.float32(0.05))
-"""Value added to the squared distance between pixel and probe, in tiles; the probe's weight is divided by the sum.
+"""A probe's weight is divided by its squared distance from the pixel, in tile widths, plus this value.
 
 It limits the weight of probes close to the pixel."""
 
 CUT_OFF_WEIGHT = wp.constant(wp.float32(1e-3))
-"""Factor of the weight of occluded probes, which matter only if all probes are occluded."""
+"""The weight of a probe that is occluded from the pixel is multiplied by this, so that others prevail if there are
+any."""
 
 WEIGHT_MIN = wp.constant(wp.float32(1e-6))
-"""Total weight below which the probes around a pixel are ignored."""
+"""If the weights of the probes around a pixel sum to less, the probes are ignored."""
 
 
 @wp.func
 def probe_irradiance(light: ProbeLight, i: int, normal: wp.vec3) -> wp.vec3:
-    """Returns the irradiance of a surface at probe ``i`` from SH up to degree 2; it may be slightly negative."""
+    """Returns the irradiance at probe ``i`` of a surface with this normal, from SH up to degree 2.
+
+    It may be slightly negative.
+    """
     x = normal[0]
     y = normal[1]
     z = normal[2]
@@ -79,7 +83,10 @@ def probe_irradiance(light: ProbeLight, i: int, normal: wp.vec3) -> wp.vec3:
 
 @wp.func
 def probe_radiance(light: ProbeLight, i: int, cells: int, direction: wp.vec3) -> wp.vec3:
-    """Returns the radiance of probe ``i`` along a unit direction, interpolated between its cells."""
+    """Returns the radiance that arrives at probe ``i`` from a unit direction, bilinear between its map cells.
+
+    ``cells`` is the number of cells along a side of the octahedral map.
+    """
     point = square_of_direction(direction) * float(cells) - wp.vec2(0.5, 0.5)
     left = wp.floor(point[0])
     above = wp.floor(point[1])
@@ -97,7 +104,7 @@ def probe_radiance(light: ProbeLight, i: int, cells: int, direction: wp.vec3) ->
 
 @wp.func
 def nearness_weight(distance: float, other: float) -> float:
-    """Returns a weight, 0..1, by the ratio of the distances of two points from the eye; 1 if they are equal."""
+    """Returns ``(smaller / larger)^8`` of two distances from the eye: 1 if they are equal."""
     ratio = wp.min(distance, other) / wp.max(wp.max(distance, other), 1e-20)
     ratio *= ratio
     ratio *= ratio
@@ -106,7 +113,7 @@ def nearness_weight(distance: float, other: float) -> float:
 
 @wp.func
 def facing_weight(normal: wp.vec3, other: wp.vec3) -> float:
-    """Returns a weight, 0..1, by the angle between two normals; 1 if they are equal."""
+    """Returns ``max(cosine, 0)^8`` of the angle between two normals: 1 if they are equal."""
     cosine = wp.max(wp.dot(normal, other), 0.0)
     cosine *= cosine
     cosine *= cosine
@@ -117,9 +124,9 @@ def facing_weight(normal: wp.vec3, other: wp.vec3) -> float:
 def add_probe(
     probe_sum: ProbeSum, weight: float, i: int, cells: int, direction: wp.vec3, glossy: bool, light: ProbeLight
 ):
-    """Adds the weighted value of probe ``i`` to ``probe_sum`` and returns the sum.
+    """Returns ``probe_sum`` with the light of probe ``i``, times ``weight``, added.
 
-    The value is the radiance along ``direction`` if ``glossy``, else the irradiance for the normal ``direction``.
+    It is the radiance from ``direction`` if ``glossy``, else the irradiance for the normal ``direction``.
     """
     if glossy:
         probe_sum.total += weight * probe_radiance(light, i, cells, direction)
@@ -142,7 +149,10 @@ def near_probes(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """Sums the values of the probes that lie on a pixel's surface, in the four tiles around ``point``."""
+    """Sums the light of the probes on the surface of ``pixel`` in the four tiles nearest to image position ``point``.
+
+    It is the radiance from ``direction`` if ``glossy``, else the irradiance for the normal ``direction``.
+    """
     probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
     distance = surfaces.distance[pixel]
@@ -175,7 +185,11 @@ def wider_probes(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """Sums the values of all probes that face the same side as a pixel, in its tile and the eight tiles around it."""
+    """Sums the light of all probes in the tile of ``pixel`` and the eight tiles around it that face the same side.
+
+    They need not lie on the pixel's surface. It is the radiance from ``direction`` if ``glossy``, else the irradiance
+    for the normal ``direction``.
+    """
     probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
     column = pixel % grid.width // grid.tile
@@ -207,11 +221,11 @@ def gathered_light(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """Returns the weighted mean of the values of the probes at a pixel's surface; weight 0: no probe applies.
+    """Returns the weighted mean of the light of the probes around a pixel, on its surface if possible.
 
-    ``point`` is the image position, pixels, around which tiles are looked up: in the pixel, or jittered by up to half a
-    tile. ``direction`` is the surface normal, for irradiance, or, if ``glossy``, the unit direction whose radiance is
-    returned.
+    A weight of 0 means that there are none. ``point`` is the image position, pixels, around which tiles are looked up:
+    in the pixel, or jittered by up to half a tile. The light is the radiance from ``direction`` if ``glossy``, else the
+    irradiance for the normal ``direction``.
     """
     probe_sum = near_probes(pixel, point, direction, glossy, grid, camera, surfaces, probes, adaptive_of, light)
     if not probe_sum.weight > WEIGHT_MIN:
@@ -225,33 +239,33 @@ def gathered_light(
 # --- Rays of probes, and filtering between neighbouring probes ---
 
 RISE = wp.constant(wp.float32(1e-4))
-"""Height above a mesh at which probe rays start.
+"""Probe rays start this far above a mesh, as a fraction of the largest coordinate or of the distance from the eye.
 
-It is a fraction of the largest coordinate or the distance from the eye, whichever is larger.
+The larger of both counts.
 """
 
 NEVER = wp.constant(2**31 - 1)
 
 STALEST = wp.constant(1 << 20)
-"""Number of frames without refresh beyond which the priority of a probe does not grow."""
+"""Refresh priority grows with the number of frames since a probe was refreshed, up to this number."""
 
 BAYER = wp.constant(wp.types.vector(length=16, dtype=wp.int32)(0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5))
-"""Order of refresh within 4 x 4 tiles; the tiles that come first are evenly spread, however many they are."""
+"""Order in which the probes of 4 x 4 tiles are refreshed; any first n of them are spread evenly."""
 
 ANGLE_MAX = wp.constant(wp.float32(0.2))
-"""Largest angle at which cells of two probes are averaged, in cell widths.
+"""Map cells of two probes are averaged if their hits differ in direction by at most this angle, in cell widths.
 
-It is the angle between a cell's direction and the direction from one probe to the hit of the other probe's cell."""
+It is the angle, at one probe, between the cell's direction and the hit of the other probe's cell."""
 
 PROBE_SEED = wp.constant(wp.uint32(0x70726F62))
-"""Value mixed into the seed so that probe rays use other random numbers than camera rays."""
+"""Mixed into the random seed for probe rays, so that they use other numbers than camera rays."""
 
 
 @wp.func
 def refresh_key(i: int, grid: ProbeGrid, probes: ProbeData) -> int:
-    """Returns the refresh priority of a probe; lower keys are refreshed first.
+    """Returns the sort key by which probes are refreshed, lowest first: new probes, then those refreshed longest ago.
 
-    New probes come before old ones, and probes of equal age are spread over the image.
+    Probes of equal age are spread over the image.
     """
     if probes.is_placed[i] == 0:
         return NEVER
@@ -264,9 +278,9 @@ def refresh_key(i: int, grid: ProbeGrid, probes: ProbeData) -> int:
 
 @wp.func
 def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeData, rays_out: RayData):
-    """Starts the ray of a cell of probe ``i`` in the direction of a random point of the cell.
+    """Writes ray ``ray`` of probe ``i`` in a random direction within cell ``cell`` of its map.
 
-    A ray that would enter the mesh that the probe lies on is not started.
+    A ray that would enter the mesh that the probe lies on stays inactive.
     """
     seed = wp.bit_xor(grid.seed, PROBE_SEED)
     number = i * grid.cells * grid.cells + cell
@@ -295,7 +309,7 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
 
 @wp.func
 def neighbour_weight(i: int, j: int, grid: ProbeGrid, camera: CameraData, probes: ProbeData) -> float:
-    """Returns the weight of probe ``j`` in the filtered light of probe ``i``: 0 if ``j`` is off the plane of ``i``."""
+    """Returns the weight of probe ``j`` when the light of probe ``i`` is filtered: 0 if ``j`` is not on its surface."""
     reach = reach_of(grid, camera, probes.distance[i])
     if not fits(probes, j, probes.position[i], probes.normal[i], reach, probes.extent[i]):
         return float(0.0)
@@ -304,7 +318,7 @@ def neighbour_weight(i: int, j: int, grid: ProbeGrid, camera: CameraData, probes
 
 @wp.func
 def shows_same_surface(i: int, j: int, cell: int, grid: ProbeGrid, probes: ProbeData, cells: ProbeCells) -> bool:
-    """Returns whether a cell shows the same surface from probes ``i`` and ``j``.
+    """Returns whether map cell ``cell`` shows the same surface from probe ``i`` as from probe ``j``.
 
     Seen from ``i``, the hit of the cell of ``j`` must lie in the cell's direction. The hit distance of ``j`` is limited
     to that of ``i``, so that near surfaces are not blurred with the surfaces behind them. If the cell of ``i`` has no

@@ -20,64 +20,68 @@ from lumisplat.device.structs.rays import Bounce, RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 MIRRORED_SOLID_ANGLE = 0.02
-"""Smallest effective solid angle, steradians, of a light seen in a mirror: a tenth of a probe's cell.
+"""A light seen in a mirror is dimmed as if it covered at least this solid angle, steradians: a tenth of a probe's
+cell.
 
 Without this limit, one ray in thousands would be thousands of times too bright."""
 
 LOBE_ALPHA_FROM = 0.16
-"""GGX alpha (roughness 0.4) from which highlight rays are blended with screen probes, whose cells are 0.4 radians
-wide.
+"""Highlights of larger GGX alpha (roughness 0.4) blend traced rays with screen probes; of smaller, only rays.
 
-GI-1.1 traces rays up to a roughness of 0.2, and switches to probes without a blend."""
+Screen probes resolve 0.4 radians. GI-1.1 traces rays up to a roughness of 0.2, and switches to probes without a blend.
+"""
 
 LOBE_ALPHA_TO = 0.25
-"""GGX alpha (roughness 0.5) from which highlights use screen probes alone and send no rays."""
+"""Highlights of larger GGX alpha (roughness 0.5) take their light from screen probes alone and send no rays."""
 
 
 @struct
 class LobeRays:
-    """Rays within the highlights of pixels, at most one for each square of 2 x 2 pixels; squares are in row order."""
+    """Rays within the highlights of pixels, at most one per square of 2 x 2 pixels; elements are squares, row by row.
+
+    ``radiance`` has one element for each ray instead.
+    """
 
     pixel: wp.array[int]
-    """Pixel of the square whose surface sends the ray."""
+    """For each square of 2 x 2 pixels, the pixel whose surface sends the ray."""
     slot: wp.array[int]
-    """Surface of the pixel: 0 for Gaussians, 1 for a mesh; -1: no ray."""
+    """For each square of 2 x 2 pixels, the surface that sends the ray: 0 Gaussians, 1 a mesh; -1: no ray."""
     ray: wp.array[int]
-    """Index of the square's ray among all highlight rays."""
+    """For each square of 2 x 2 pixels, the index of its ray in ``radiance``."""
     weight: wp.array[wp.vec3]
-    """Factor that converts the ray's radiance to the highlight's reflected radiance over its albedo."""
+    """Factor of the ray's radiance in the radiance that the highlight reflects, divided by the highlight's albedo."""
     radiance: wp.array[wp.vec3]
-    """Radiance along each ray, linear; one element for each ray."""
+    """Linear radiance that arrives along each highlight ray; one element for each ray, not each square."""
 
 
 @struct
 class BouncedRays:
-    """Radiance along secondary rays, and light samples at the surfaces that they hit."""
+    """What secondary rays of real-time rendering find: emitted radiance, and one light sample at each hit surface."""
 
     emitted: wp.array[wp.vec3]
-    """Linear radiance of captures, and of emission that is not sampled as a light."""
+    """Linear radiance of captured colours and of mesh emission that is not sampled as a light."""
     share: wp.array[wp.vec3]
-    """Weight, in the ray's radiance, of the light that the hit surface reflects; 0: no surface."""
+    """Factor, in the ray's radiance, of the light that the hit surface reflects; 0: the ray hits no such surface."""
     sampled: wp.array[wp.vec3]
-    """Unshadowed linear radiance of one sampled light that the hit surface reflects."""
+    """Linear radiance that the hit surface reflects of one sampled light, without its shadow."""
 
 
 @struct
 class OnwardRays:
-    """Rays that continue those of `BouncedRays` at smooth surfaces; empty in scenes without smooth surfaces."""
+    """Continuations of secondary rays that hit mirrors or glass; empty in scenes without smooth surfaces."""
 
     rays: RayData
-    """Rays of the next wave; a ray that has hit a rough surface is inactive."""
+    """Continued rays; a ray that has ended at a rough surface is inactive."""
     goes_on: wp.array[int]
-    """1: the ray is active."""
+    """1: the ray continues; 0: it has ended, and its other fields are undefined."""
     length_before: wp.array[float]
     """Length of the path from the last rough surface to the origin of the ray, scene units."""
     mirrored: wp.array[int]
-    """1: a mirror reflected the ray, so that lights that the ray hits count."""
+    """1: a mirror has reflected the ray, so that it adds lights that it hits; 0: light samples found them already."""
     weights: wp.array[wp.vec3]
-    """Factor of the ray's radiance in the radiance of the secondary ray that it continues."""
+    """Factor of the continued ray's radiance in that of the secondary ray with which it began."""
     media: wp.array[wp.vec4i]
-    """Media that the ray is inside of: mesh instance indices plus one; empty: no ray is in a medium."""
+    """Media that the ray is inside of: mesh instance indices plus one, 0: none; empty in scenes without media."""
 
 
 # --- Rays within highlights, one for four pixels (docs/method/realtime.md#glossy) ---
@@ -95,7 +99,7 @@ def squares_across(width: int) -> int:
 
 @wp.func
 def square_of(pixel: int, width: int) -> int:
-    """Returns the square that contains a pixel."""
+    """Returns the index, in row order, of the 2 x 2 pixel square that contains a pixel."""
     return (pixel // width // 2) * squares_across(width) + pixel % width // 2
 
 
@@ -110,7 +114,7 @@ def followed_pixel(square: int, frame: int, width: int) -> wp.vec2i:
 
 @wp.func
 def lobe_share(alpha: float) -> float:
-    """Returns the weight of traced rays in a highlight of this GGX alpha; screen probes have the remaining weight."""
+    """Returns the weight, 1 to 0, of traced rays in a highlight of this GGX alpha; screen probes have the rest."""
     return wp.clamp((ALPHA_TO - alpha) / (ALPHA_TO - ALPHA_FROM), 0.0, 1.0)
 
 
@@ -118,12 +122,10 @@ def lobe_share(alpha: float) -> float:
 def lobe_radiance(
     pixel: int, slot: int, camera: wp.array[CameraData], surfaces: SurfacePixels, lobes: LobeRays
 ) -> wp.vec4:
-    """Returns a highlight's linear reflected radiance over its albedo in x, y and z, and its weight, 1, in w.
+    """Returns, in xyz, the linear radiance that a pixel's highlight reflects, over its albedo; w is 1 if it is known.
 
-    The radiance is that along the ray of the pixel's square. All components are 0 if the square has no ray from this
-    surface.
-
-    ``slot`` is the kind of the surface, 0 for Gaussians and 1 for a mesh; ``surfaces`` are the G-buffer of this kind.
+    The light is that of the ray of the pixel's 2 x 2 square. All components are 0 if the square has no ray, or one from
+    another surface. ``slot`` is 0 for Gaussians and 1 for meshes; ``surfaces`` is the G-buffer of this kind.
     """
     square = square_of(pixel, camera[0].width)
     if lobes.slot[square] != slot:
@@ -148,7 +150,7 @@ SMALLEST = wp.constant(wp.float32(MIRRORED_SOLID_ANGLE))
 
 @wp.func
 def straight_bounce(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """Returns reflection and straight transmission at the mesh that ray ``i`` hits; zero if the mesh is not smooth.
+    """Returns reflection and unrefracted transmission of ray ``i`` at the mesh that it hits; zero if it has none.
 
     Both sides count as air, as for shadow rays: light leaving glass is reflected as much as light entering it.
     """
@@ -165,9 +167,9 @@ def straight_bounce(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 def straight_step(
     i: int, branch: Branch, bounce: Bounce, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> PathStep:
-    """Continues ray ``i`` by reflection or straight transmission, whichever ``branch`` is.
+    """Returns the continuation of ray ``i``: reflected if ``branch`` says so, else straight through the mesh.
 
-    The weight of the continued ray is divided by the probability of the branch.
+    Its weight is divided by the probability of the branch.
     """
     step = PathStep()
     side = -bounce.side
@@ -188,7 +190,10 @@ def straight_step(
 
 @wp.func
 def start_onward(i: int, kind: int, step: PathStep, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts the continuation of ray ``i`` in ``rays_out``, which may be the arrays that the ray is read from."""
+    """Writes the continuation of ray ``i`` to element ``i`` of ``rays_out``, which may be the arrays it is read from.
+
+    ``kind`` is the branch of its random keys.
+    """
     sample_key = branch_key(wave[0].rays.sample_key[i], kind)
     pixel_key = branch_key(wave[0].rays.pixel_key[i], kind)
     sample = wave[0].rays.sample[i]
@@ -218,13 +223,11 @@ def at_most(radiance: wp.vec3, most: float) -> wp.vec3:
 def mirrored_light(
     i: int, length_before: float, no_shadows: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
-    """Returns the linear radiance of the lights that ray ``i``, reflected by a mirror, hits.
+    """Returns the linear radiance of lights that ray ``i``, reflected by a mirror, hits in front of meshes.
 
-    Small bright lights are hit rarely. A light that covers less than ``MIRRORED_SOLID_ANGLE`` is therefore dimmed to
-    the radiance that it would have if it covered this solid angle.
-
-    ``length_before`` is the length of the path from the last rough surface to the ray's origin, scene units;
-    ``no_shadows``: light samples pass mirrors.
+    A light that covers less than ``MIRRORED_SOLID_ANGLE`` is dimmed as if it covered this solid angle, because small
+    bright lights are hit rarely. ``length_before`` is the length of the path from the last rough surface to the ray's
+    origin, scene units; ``no_shadows``: light samples pass mirrors.
     """
     origin = wave[0].rays.origin[i]
     direction = wave[0].rays.direction[i]

@@ -1,4 +1,4 @@
-"""Surfaces that pixels show in real-time rendering: G-buffer, reprojection to the previous frame, and albedo."""
+"""Real-time rendering's G-buffer: surfaces of pixels, their reprojection to the previous frame, and their albedo."""
 
 import warp as wp
 
@@ -23,19 +23,20 @@ from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_SURFACE_PX = 8.0
-"""Largest distance of two points of one surface from each other's tangent planes, in pixel widths.
+"""Two points lie on one surface only if each is at most this far from the other's tangent plane, in pixel widths.
 
 It is the tile size of GI-1.1."""
 
 SAME_NORMAL_MESH = 0.9
-"""Smallest cosine between the normals of one point of a mesh in two frames; the history of faster rotation is dropped.
-"""
+"""A mesh point keeps its history only if the cosine between its normals in two frames is at least this."""
 
 SAME_NORMAL_SPLATS = 0.5
-"""Smallest cosine between the normals of one point of a surface of Gaussians in two frames; the normals are noisy."""
+"""A point on Gaussians keeps its history only if the cosine between its normals in two frames is at least this.
+
+The bound is low, because these normals are noisy."""
 
 YOUNG_SHARE = 0.5
-"""Weight of a mean of few samples when another sample is added, as a fraction of its number of samples.
+"""A mean of few samples counts only as this fraction of its number when another sample is added.
 
 Later samples include more bounces and are closer to the converged value. The variance is a third higher than that of
 ordinary means."""
@@ -43,133 +44,135 @@ ordinary means."""
 
 @struct
 class SurfacePixels:
-    """G-buffer of the surfaces of one kind, Gaussians or meshes; one element for each pixel, in row order."""
+    """G-buffer of one kind of surface, Gaussians or meshes; one element for each pixel, in row order."""
 
     share: wp.array[float]
     """Fraction of the pixel that the surface covers, 0..1; 0: no surface, and the other fields are undefined."""
     position: wp.array[wp.vec3]
-    """Position, world space."""
+    """World-space position of the surface point that the pixel shows."""
     normal: wp.array[wp.vec3]
-    """Shading normal, unit, towards the viewer."""
+    """Unit shading normal of the surface point, world space, towards the viewer."""
     distance: wp.array[float]
-    """Distance from the eye, scene units."""
+    """Distance of the surface point from the eye, scene units."""
     extent: wp.array[float]
     """Position uncertainty of the surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
     albedo: wp.array[wp.vec3]
-    """Diffuse albedo, linear: fraction of a constant environment that is reflected towards the viewer."""
+    """Diffuse albedo, linear: fraction of light, constant over all directions, that is reflected to the viewer."""
     glossy_albedo: wp.array[wp.vec3]
-    """Albedo of the highlight, linear: fraction of a constant environment that is reflected towards the viewer."""
+    """Albedo of highlight and layers, linear: fraction of light, constant over all directions, reflected to the
+    viewer."""
     alpha: wp.array[float]
-    """GGX alpha of the highlight, as in ``Bsdf``."""
+    """GGX alpha of the highlight, roughness squared; 0: a mirror."""
     previous: wp.array[wp.vec3]
-    """Position of the surface point in the previous frame, world space; NaN: it did not exist."""
+    """World-space position of the same surface point in the previous frame; NaN: it did not exist."""
 
 
 @struct
 class InstanceMotion:
-    """Motion of an instance since the previous frame; one for each splat or mesh instance, in scene order."""
+    """Motion since the previous frame of one splat or mesh instance, in the order of the scene's instances."""
 
     existed: int
-    """0: the instance did not exist in the previous frame."""
+    """1: the instance was in the previous frame; 0: it is new, and the other fields are undefined."""
     deforms: int
-    """1: the Gaussians or vertices of the instance moved individually."""
+    """1: Gaussians or vertices moved within the instance; 0: at most the instance moved as a whole."""
     before_from_now: wp.mat33
-    """Linear part of the world-space transform from current to previous positions."""
+    """Linear part of the map from a point's world-space position now to its position in the previous frame."""
     before_from_now_offset: wp.vec3
     before_from_object: wp.mat33
-    """Linear part of the transform from object space to the world space of the previous frame."""
+    """Linear part of the instance's transform in the previous frame, from object to world space."""
     before_from_object_offset: wp.vec3
     means: wp.array[wp.vec3]
-    """Previous means of the instance's Gaussians, object space.
+    """Means of the instance's Gaussians in the previous frame, object space.
 
-    The arrays ``means``, ``rotations`` and ``positions`` are empty unless the instance deforms."""
+    ``means``, ``rotations`` and ``positions`` are empty unless ``deforms`` is 1."""
     rotations: wp.array[wp.quat]
     positions: wp.array[wp.vec3]
-    """Previous positions of the instance's vertices, indexed as in ``MeshData``."""
+    """Vertex positions in the previous frame, object space, indexed as those of ``MeshData``."""
 
 
 @struct
 class PixelLight:
-    """One light sample for each ray of the first wave, at one of the ray's two surfaces."""
+    """One light sample for each camera ray, at either the Gaussians or the mesh that it hits."""
 
     slot: wp.array[int]
-    """Surface that the sample lights: 0 for Gaussians, 1 for a mesh; -1: none."""
+    """Surface that the light sample lights: 0 for Gaussians, 1 for a mesh; -1: none."""
     diffuse: wp.array[wp.vec3]
-    """Unshadowed diffusely reflected radiance, as if the surface covered the whole pixel; linear."""
+    """Linear radiance that the surface reflects diffusely of the sample, unshadowed, as if it covered the whole pixel.
+    """
     glossy: wp.array[wp.vec3]
-    """Unshadowed radiance reflected by highlights and other non-diffuse lobes, linear."""
+    """Linear radiance that all other lobes reflect of the sample, unshadowed, as if the surface covered the whole
+    pixel."""
 
 
 @struct
 class SurfaceLight:
-    """Light reflected by surfaces of one kind (Gaussians or meshes), one element for each pixel, in row order."""
+    """Light reflected by one kind of surface, Gaussians or meshes; one element for each pixel, in row order."""
 
     is_sampled: wp.array[wp.bool]
     """True if the pixel has a sample in this frame; if false, the other fields are undefined."""
     diffuse: wp.array[wp.vec3]
-    """Diffusely reflected radiance over the albedo, linear."""
+    """Linear radiance that the surface reflects diffusely, divided by its diffuse albedo."""
     glossy: wp.array[wp.vec3]
-    """Radiance reflected by highlights and other non-diffuse lobes, linear."""
+    """Linear radiance that highlights and all other lobes but the diffuse one reflect."""
 
 
 @struct
 class LightHistory:
-    """Temporal means of the light of surfaces of one kind (Gaussians or meshes), for each pixel, in row order.
+    """Means over frames of the light of one kind of surface, Gaussians or meshes, for each pixel, in row order.
 
     Each surface has a diffuse and a glossy mean as in ``SurfaceLight``, and moments of both luminances.
     """
 
     frames: wp.array[float]
-    """Number of frames that the means average; 0: no history."""
+    """Number of frames in the pixel's means; 0: the pixel has no history."""
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]
     moments: wp.array[wp.vec4]
-    """Mean and mean square of the diffuse luminance, then of the glossy luminance."""
+    """Mean and mean square of the luminance of diffuse light (x, y) and of glossy light (z, w)."""
 
 
 @struct
 class FilteredLight:
-    """Spatially filtered light of surfaces of one kind (Gaussians or meshes), for each pixel, in row order."""
+    """Light of one kind of surface, Gaussians or meshes, after the spatial filter; for each pixel, in row order."""
 
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]
     variance: wp.array[wp.vec2]
-    """Variances of the diffuse and of the glossy luminance."""
+    """Variance of the luminance of diffuse light (x) and of glossy light (y)."""
 
 
 @struct
 class TemporalPixels:
-    """Current pixels that temporal antialiasing averages with previous frames, in row order."""
+    """Current frame's pixels, to be averaged with previous frames by temporal antialiasing; in row order."""
 
     color: wp.array[wp.vec3]
-    """Linear radiance."""
+    """Linear radiance of the pixel in the current frame."""
     motion: wp.array[wp.vec3]
-    """Motion since the previous frame: x and y in pixels, and distance from the eye; NaN: new surface.
+    """Motion since the previous frame of what the pixel shows: x and y in pixels, z in distance from the eye.
 
-    It is the motion of the surface at which the pixel's ray ends, or of the background."""
+    It is that of the surface at which the pixel's ray ends, or of the background; NaN: a new surface."""
     instance: wp.array[int]
     """Index of the instance at which the pixel's ray ends, splat instances first; -1: the background."""
     previous_pixel: wp.array[wp.vec2]
-    """Position of the pixel in the previous frame; (0, 0) is the centre of the first pixel."""
+    """Where the pixel's surface was in the previous frame, pixels; (0, 0) is the centre of the first pixel."""
     weight: wp.array[float]
-    """Weight of the current frame in the temporal mean, 0..1; 1: no history."""
+    """Weight of the current frame in the mean over frames, 0..1; 1: there is no history."""
 
 
 @struct
 class TemporalHistory:
-    """Temporal means of pixels over frames, one element for each pixel, in row order."""
+    """Means over frames that temporal antialiasing keeps; one element for each pixel, in row order."""
 
     frames: wp.array[float]
-    """Number of frames that the mean averages; 0: no history."""
+    """Number of frames in the pixel's mean; 0: the pixel has no history."""
     color: wp.array[wp.vec3]
-    """Mean linear radiance."""
+    """Mean linear radiance of the pixel over frames."""
     sample: wp.array[float]
-    """Luminance of the pixel in the last frame alone."""
+    """Luminance that the pixel had in the last frame, before averaging."""
     change: wp.array[float]
-    """Mean squared difference between the luminances of successive frames."""
+    """Mean over frames of the squared difference of the pixel's luminance between successive frames."""
     instance: wp.array[int]
-    """Index of the nearest instance in the surrounding 3 x 3 pixels of the last frame, splat instances first; -1:
-    none."""
+    """Index of the instance nearest to the eye in the 3 x 3 pixels around, last frame, splats first; -1: background."""
 
 
 # --- Pixels sampled in each frame (``RealtimeConfig.light_interval``), and weights of young means ---
@@ -179,9 +182,9 @@ BLOCK = wp.constant(RAY_BLOCK_PX)
 
 @wp.func
 def is_sampled_in_frame(x: int, y: int, interval: int, frame: int) -> bool:
-    """Returns whether a pixel is sampled in frame number ``frame``.
+    """Returns whether light is sampled at pixel (x, y) in frame number ``frame``.
 
-    All pixels are sampled in the first frame; in later frames, one of each ``interval`` blocks of pixels is, in turn.
+    The first frame samples all pixels; each later one samples one of every ``interval`` blocks of pixels, in turn.
     """
     return frame == 0 or (x // BLOCK + y // BLOCK + frame) % interval == 0
 
@@ -191,9 +194,9 @@ SHARE = wp.constant(wp.float32(YOUNG_SHARE))
 
 @wp.func
 def mean_weight(count: float, history: float) -> float:
-    """Returns the weight of a mean of ``count`` samples, in samples, when another sample is added.
+    """Returns the weight, in samples, that a mean of ``count`` samples has when another sample is added.
 
-    The weight of a mean of few samples is less than ``count``. ``history`` is the largest number of samples in a mean.
+    It is less than ``count`` for young means, and at most ``history - 1``.
     """
     if count < history:
         return SHARE * count
@@ -203,18 +206,18 @@ def mean_weight(count: float, history: float) -> float:
 # --- Motion (docs/method/realtime.md#motion) ---
 
 UNMOVED = -1
-"""Value in place of an instance index: the instance did not move."""
+"""Value in the map from previous to current instance indices, ``moved_to``: the instance has not moved."""
 
 GONE = -2
-"""Value in place of an instance index: the instance was removed."""
+"""Value in the map from previous to current instance indices, ``moved_to``: the instance was removed."""
 
 
 @wp.func
 def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
-    """Returns whether the instance that a pixel showed in the previous frame has moved away from the pixel.
+    """Returns whether the instance that a pixel showed in the previous frame has moved, and no longer shows there.
 
-    ``before`` is the index of this instance in the previous frame, splat instances first; -1: the background. ``now``
-    is that of the instance that the pixel shows now. ``moved_to`` maps previous indices to current ones, or to
+    ``before`` is the index of this instance in the previous frame, splats first; -1: the background. ``now`` is the
+    index of the instance that the pixel shows now. ``moved_to`` maps previous indices to current ones, or to
     ``UNMOVED`` or ``GONE``.
     """
     if before < 0:
@@ -224,7 +227,7 @@ def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
 
 @wp.func
 def no_position() -> wp.vec3:
-    """Returns NaN coordinates, which mark a surface without a previous position."""
+    """Returns NaN coordinates, the position of a surface point that was not in the previous frame."""
     return wp.vec3(wp.nan)
 
 
@@ -237,7 +240,10 @@ def splat_before(
     assets: wp.array[GaussianData],
     motions: wp.array[InstanceMotion],
 ) -> wp.vec3:
-    """Returns the previous position of a point that moves with Gaussian ``gaussian`` of instance ``number``."""
+    """Returns where a point that moves with Gaussian ``gaussian`` of instance ``number`` was in the previous frame.
+
+    Positions are in world space; NaN: the instance is new.
+    """
     if motions[number].existed == 0:
         return no_position()
     if motions[number].deforms == 0:
@@ -253,7 +259,7 @@ def splat_before(
 def mesh_before(
     position: wp.vec3, number: int, face: int, weights: wp.vec2, meshes: MeshData, motions: wp.array[InstanceMotion]
 ) -> wp.vec3:
-    """Returns the previous position of a point of mesh instance ``number``.
+    """Returns where a point of mesh instance ``number`` was in the previous frame, world space; NaN: it is new.
 
     ``face`` is an index over all meshes; ``weights`` are the barycentric weights of the face's second and third corner.
     """
@@ -270,9 +276,9 @@ def mesh_before(
 
 @wp.func
 def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
-    """Projects a point with a pinhole camera: returns x and y in pixels, with pixel centres at +0.5, and its distance.
+    """Projects a world-space point by a pinhole camera to x and y in pixels and its distance from the eye.
 
-    The distance is 0 for a point that is not visible.
+    Pixel centres are at +0.5. The distance is 0 for a point that is not in front of the near plane.
     """
     from_eye = position - camera[0].eye
     view = wp.transpose(camera[0].world_from_camera) * from_eye
@@ -287,11 +293,10 @@ def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
 def motion_of(
     position: wp.vec3, previous: wp.vec3, camera: wp.array[CameraData], camera_before: wp.array[CameraData]
 ) -> wp.vec3:
-    """Returns a point's motion in the image since the previous frame: x and y in pixels, and distance from the eye.
+    """Returns a point's motion since the previous frame: x and y in pixels, z in distance from the eye.
 
-    The result is NaN if the point had no previous position or was not visible.
-
-    ``previous`` is the point's position in the previous frame; NaN: it had none.
+    ``previous`` is the point's world-space position in the previous frame. The result is NaN if that is NaN or was not
+    visible.
     """
     if wp.isnan(previous[0]):
         return no_position()
@@ -314,19 +319,22 @@ STILL = wp.constant(wp.float32(STILL_PX))
 
 @wp.func
 def snapped(x: float) -> float:
-    """Rounds a pixel coordinate to the pixel's centre if it differs only by rounding."""
+    """Rounds a pixel coordinate to a whole number if it differs from it only by rounding errors."""
     return wp.where(wp.abs(x - wp.round(x)) < STILL, wp.round(x), x)
 
 
 @wp.func
 def least_cosine(extent: float) -> float:
-    """Returns the smallest cosine between two normals of one surface; ``extent`` is above 0 for Gaussians."""
+    """Returns the cosine that two normals of one surface must at least have: lower for Gaussians (``extent`` > 0)."""
     return wp.where(extent > 0.0, NORMAL_SPLATS, NORMAL_MESH)
 
 
 @wp.func
 def tolerance(distance: float, extent: float, camera: wp.array[CameraData]) -> float:
-    """Returns the largest distance of two points of one surface from each other's tangent planes, scene units."""
+    """Returns how far, in scene units, two points of one surface may lie from each other's tangent planes.
+
+    It is a number of pixel widths at ``distance`` or, if larger, the Gaussian's scale ``extent``.
+    """
     return wp.max(SURFACE_PX * distance / camera[0].focal[0], extent)
 
 
@@ -339,10 +347,10 @@ def is_near(
     other_position: wp.vec3,
     other_normal: wp.vec3,
 ) -> bool:
-    """Returns whether two points with normals lie on one surface.
+    """Returns whether two points with normals may lie on one surface.
 
-    ``tolerated`` is the largest distance of each point from the tangent plane of the other, scene units, and
-    ``cosine_min`` the smallest cosine between their normals.
+    Each must be at most ``tolerated`` scene units from the other's tangent plane, and the cosine between their normals
+    at least ``cosine_min``.
     """
     if wp.dot(normal, other_normal) < cosine_min:
         return False
@@ -374,7 +382,10 @@ MEAN_COSINE = wp.constant(wp.float32(2.0 / 3.0))
 
 @wp.func
 def left_by_layers(bsdf: Bsdf, cosine: float) -> float:
-    """Returns the fraction of constant illumination that clearcoat and sheen transmit, evaluated at its mean cosine."""
+    """Returns the fraction of light, constant over all directions, that clearcoat and sheen let through to the base.
+
+    It is evaluated for light at its mean cosine, and a view at ``cosine``.
+    """
     if not has_layers(bsdf):
         return 1.0
     return left_by_coat(bsdf, cosine, MEAN_COSINE) * left_by_sheen(bsdf, cosine, MEAN_COSINE)
@@ -382,7 +393,7 @@ def left_by_layers(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def diffuse_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the diffuse albedo for a view at a cosine from the normal, under a constant environment."""
+    """Returns the fraction of light, constant over all directions, that diffuses to a view at ``cosine``."""
     if bsdf.model == BSDF_SIMPLE:
         return wp.cw_mul(simple_scale(bsdf), bsdf.diffuse)
     if bsdf.dielectric <= 0.0:
@@ -392,7 +403,7 @@ def diffuse_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def base_highlight(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the albedo of the highlight below clearcoat and sheen; 0 for smooth surfaces, which have no highlight."""
+    """Returns the albedo of the GGX highlight without layers, for a view at ``cosine``; 0 for smooth surfaces."""
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
         return wp.vec3(0.0)
     return view_albedo(bsdf, cosine) + lost_share(cosine, bsdf.alpha) * bsdf.rescattered
@@ -413,7 +424,7 @@ def glossy_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def transmitted_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the fraction of a constant environment behind a rough surface that is transmitted to a view."""
+    """Returns the fraction of light, constant behind rough glass, that passes it to a view at ``cosine``."""
     if bsdf.model == BSDF_SIMPLE or not transmits(bsdf):
         return wp.vec3(0.0)
     return left_by_layers(bsdf, cosine) * (1.0 - mirrored_share(bsdf, cosine)) * bsdf.transmitted
@@ -429,9 +440,9 @@ def highlight_width(bsdf: Bsdf) -> float:
 
 @wp.func
 def matte_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the total albedo for a view under a constant environment, at most 1.
+    """Returns the fraction of light, constant over all directions, that reaches a view at ``cosine``, at most 1.
 
-    It includes transmission through rough surfaces, but not the mirror reflection of smooth surfaces.
+    It includes transmission through rough glass, but not the mirror reflection of smooth surfaces.
     """
     albedo = diffuse_albedo(bsdf, cosine) + glossy_albedo(bsdf, cosine) + transmitted_albedo(bsdf, cosine)
     return wp.min(albedo, wp.vec3(1.0))

@@ -65,7 +65,7 @@ def is_black(color: wp.vec3) -> bool:
 
 @wp.func
 def captured_color(captured: wp.vec3, weight: float) -> wp.vec3:
-    """Converts a display-referred captured colour to a linear one; both are premultiplied by ``weight``."""
+    """Converts a display-referred captured colour to a linear one; both are premultiplied by alpha ``weight``."""
     if weight <= 0.0:
         return wp.vec3(0.0)
     return weight * decode_srgb_color(captured / weight)
@@ -73,7 +73,7 @@ def captured_color(captured: wp.vec3, weight: float) -> wp.vec3:
 
 @wp.func
 def over(color: wp.vec3, transmittance: float, behind: wp.vec3) -> wp.vec3:
-    """Composites a premultiplied colour over the colour behind it.
+    """Returns ``color + transmittance * behind``: a premultiplied colour composited over the colour behind it.
 
     The sum uses double precision, in which the product is exact, so that the result does not depend on whether a
     compiler fuses multiplication and addition.

@@ -38,7 +38,7 @@ def angle_of(y: float, x: float) -> float:
 
 @wp.func
 def flipped_to_front(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """Returns a unit direction to the eye, mirrored to the front side of a surface if it points behind the surface.
+    """Returns ``to_eye``, mirrored at the plane orthogonal to ``normal`` if it points behind the surface.
 
     At silhouettes, pixels show Gaussians whose unit ``normal`` points slightly away from the eye. They are shaded as if
     the normal pointed towards the eye by the same angle (docs/method/gaussians.md#normals).
@@ -48,7 +48,7 @@ def flipped_to_front(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
 
 @wp.func
 def around(axis: wp.vec3, cosine: float, sine: float, turn: float) -> wp.vec3:
-    """Returns the unit direction at a polar angle from a unit axis and at azimuth ``turn``, 0..1 for a full circle.
+    """Returns the unit direction at a polar angle from ``axis`` and at azimuth ``turn``, 0..1 for a full circle.
 
     The polar angle is given by its cosine and sine. The tangents of the axis follow Duff et al. 2017, Building an
     Orthonormal Basis, Revisited.
@@ -82,7 +82,7 @@ def signed_as(size: float, sign: float) -> float:
 
 @wp.func
 def direction_of_square(point: wp.vec2) -> wp.vec3:
-    """Maps a point of the unit square to a unit direction by the octahedral map."""
+    """Maps a point of the unit square to a unit direction by the equal-area octahedral map."""
     u = 2.0 * point[0] - 1.0
     v = 2.0 * point[1] - 1.0
     inside = 1.0 - (wp.abs(u) + wp.abs(v))  # positive: in the diamond
@@ -98,7 +98,7 @@ def direction_of_square(point: wp.vec2) -> wp.vec3:
 
 @wp.func
 def square_of_direction(direction: wp.vec3) -> wp.vec2:
-    """Maps a unit direction to a point of the unit square by the octahedral map."""
+    """Maps a unit direction to a point of the unit square by the equal-area octahedral map."""
     x = wp.abs(direction[0])
     y = wp.abs(direction[1])
     r = wp.sqrt((x * x + y * y) / (1.0 + wp.abs(direction[2])))
@@ -131,9 +131,9 @@ def cell_of_direction(direction: wp.vec3, cells: int) -> int:
 
 @wp.func
 def direction_in_cell(cell: int, cells: int, within: wp.vec2) -> wp.vec3:
-    """Returns the unit direction at a point of a cell of the octahedral map.
+    """Returns a unit direction within cell ``cell`` of an octahedral map of ``cells`` x ``cells`` cells.
 
-    ``within`` is the point's position in the cell, 0..1 along each side; the cell's centre is (0.5, 0.5).
+    ``within`` is its position in the cell, 0..1 along each side; the cell's centre is (0.5, 0.5).
     """
     y = cell // cells
     x = cell - y * cells
@@ -143,15 +143,15 @@ def direction_in_cell(cell: int, cells: int, within: wp.vec2) -> wp.vec3:
 
 @wp.func
 def cell_width(cells: int) -> float:
-    """Returns the angular width of a cell of the octahedral map: the square root of its solid angle, radians."""
+    """Returns ``sqrt(4 pi) / cells``, the angular width in radians of a cell of an octahedral map."""
     return 2.0 * wp.sqrt(PI) / float(cells)
 
 
 @wp.func
 def wrapped_cell(x: int, y: int, cells: int) -> int:
-    """Returns the index of the cell at a column and row of an octahedral map that may lie one beyond its border.
+    """Returns the index of the cell at column ``x`` and row ``y`` of an octahedral map, each from -1 to ``cells``.
 
-    The border of the map is folded onto itself, so that each cell beyond it is another cell of the map.
+    The border of the map is folded onto itself, so that a cell one beyond it is another cell of the map.
     """
     if x < 0 or x >= cells:
         x = wp.clamp(x, 0, cells - 1)

@@ -13,13 +13,13 @@ _ELEMENT = "*static_cast<decltype(items.data)>(__builtin_assume_aligned(items.da
 
 
 def _on_cuda(wide: str, plain: str) -> str:
-    """Returns C++ code with the statement ``wide`` for CUDA and ``plain`` for CPUs."""
+    """Returns C++ code that runs the statement ``wide`` on CUDA and ``plain`` on CPUs."""
     check = 'static_assert(sizeof(item) % 16 == 0, "the size of this struct must be a multiple of 16 bytes");'
     return f"{check}\n#if defined(__CUDA_ARCH__)\n{wide};\n#else\n{plain};\n#endif\n"
 
 
 def aligned_load_of(struct_type: Any) -> Any:
-    """Returns a function that reads a struct from a contiguous array into a variable."""
+    """Builds a function that reads element i of a struct array into a variable, on CUDA by wide aligned accesses."""
 
     @wp.func_native(_on_cuda(f"item = {_ELEMENT}", "item = items.data[i]"))
     def load_aligned(items: wp.array[struct_type], i: int, item: wp.ref[struct_type]): ...
@@ -28,7 +28,7 @@ def aligned_load_of(struct_type: Any) -> Any:
 
 
 def aligned_store_of(struct_type: Any) -> Any:
-    """Returns a function that writes a struct from a variable to a contiguous array."""
+    """Builds a function that writes a variable to element i of a struct array, on CUDA by wide aligned accesses."""
 
     @wp.func_native(_on_cuda(f"{_ELEMENT} = item", "items.data[i] = item"))
     def store_aligned(items: wp.array[struct_type], i: int, item: wp.ref[struct_type]): ...
@@ -44,7 +44,7 @@ def aligned_store_of(struct_type: Any) -> Any:
 
 
 def storage_of(struct_type: Any, count: int) -> Any:
-    """Returns a type for a local variable with room for ``count`` structs, aligned as 4-byte numbers."""
+    """Returns a vector type for a kernel's local variable with room for ``count`` structs, aligned to 4 bytes."""
     return wp.types.vector(length=count * wp.types.type_size_in_bytes(struct_type) // 4, dtype=wp.int32)
 
 
@@ -131,12 +131,12 @@ _READ = (
 
 
 def warp_sums(vector: Any, warps: int, rows: int) -> tuple[Any, Any]:
-    """Builds functions that sum vectors over the threads of each warp.
+    """Builds functions that sum vectors over the 32 threads of each CUDA warp, in shared memory, without barriers.
 
     Args:
         vector: Warp type of the summed vectors, at most 16 float32.
-        warps: Warps in a thread block.
-        rows: Number of sums held at a time.
+        warps: CUDA warps in a thread block.
+        rows: Number of sums stored at a time.
 
     Returns:
         ``add_up(row, part, has_part)``, which all threads of the block call with the same rows (CUDA warps may run

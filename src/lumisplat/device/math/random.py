@@ -16,7 +16,7 @@ import warp as wp
 MULTIPLIER_1 = wp.constant(wp.uint32(0x21F0AAAD))
 MULTIPLIER_2 = wp.constant(wp.uint32(0xD35A2D97))
 ORIGIN = wp.constant(wp.uint32(0x6C756D69))
-"""Initial state from which all keys are computed: any number except 0, which ``mix`` maps to 0."""
+"""Initial state of the hash that makes all random keys: any number except 0, which ``mix`` maps to 0."""
 
 BITS_20 = wp.constant(wp.uint32(20))
 BITS_16 = wp.constant(wp.uint32(16))
@@ -35,21 +35,21 @@ KARRAS_4 = wp.constant(wp.uint32(0x8D22F6E6))
 
 # Dimensions below 2^31 belong to Gaussians, by their index in the scene. Other dimensions count down from the last.
 LENS_RADIUS = wp.constant(wp.uint32(0xFFFFFFFF))
-"""Dimension of the random number that selects the distance of a camera ray's origin from the lens centre."""
+"""Dimension of a sample's random number for the distance of the camera ray's origin from the lens centre."""
 LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
-"""Dimension of the random number that selects the angle of a camera ray's origin around the lens centre."""
+"""Dimension of a sample's random number for the angle of the camera ray's origin around the lens centre."""
 BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
-"""Dimension of the random numbers from which keys of branch 0 are made; those of other branches count down from it."""
+"""Dimension from which the random key of branch 0 of a ray is drawn; branch n uses ``BRANCH_LAST - n``."""
 CAPTURED_OR_RELIT = wp.constant(wp.uint32(0x80000000))
-"""Dimension of the random number that selects captured or relit splat sets on a ray.
+"""Dimension of the random number that decides whether a ray shows captured or relit splat sets.
 
-It is the first dimension behind those of the Gaussians.
+It is the first dimension after those of the Gaussians.
 """
 
 
 @wp.func
 def mix(word: wp.uint32) -> wp.uint32:
-    """Maps 32-bit words one-to-one to words such that each input bit flips about half of the output bits."""
+    """Hashes a 32-bit word one-to-one, such that flipping an input bit flips about half of the output bits."""
     word = wp.bit_xor(word, wp.rshift(word, BITS_16)) * MULTIPLIER_1
     word = wp.bit_xor(word, wp.rshift(word, BITS_15)) * MULTIPLIER_2
     return wp.bit_xor(word, wp.rshift(word, BITS_15))
@@ -69,7 +69,7 @@ def sample_key_of(pixel: int, sample: int, seed: wp.uint32) -> wp.uint32:
 
 @wp.func
 def branch_key(sample_key: wp.uint32, branch: int) -> wp.uint32:
-    """Returns the random key of a branch of a ray, independent of the ray's own key.
+    """Returns the random key of branch ``branch`` of a ray, independent of the ray's own and of other branches.
 
     Branch 0 is the reflected and 1 the refracted ray; other numbers are for other uses.
     """
@@ -78,7 +78,7 @@ def branch_key(sample_key: wp.uint32, branch: int) -> wp.uint32:
 
 @wp.func
 def draw_mixed(sample_key: wp.uint32, mixed: wp.uint32) -> float:
-    """Draws a number as ``draw`` does, for a dimension that ``mix`` was already applied to.
+    """Draws the number of ``draw`` for a dimension d, where ``mixed`` is ``mix(d)``.
 
     ``mixed`` is computed once for the many keys that share the dimension.
     """
@@ -87,16 +87,16 @@ def draw_mixed(sample_key: wp.uint32, mixed: wp.uint32) -> float:
 
 @wp.func
 def draw(sample_key: wp.uint32, dimension: wp.uint32) -> float:
-    """Draws a uniform random number in [0, 1), a multiple of 2^-24.
+    """Draws a uniform random number in [0, 1), a multiple of 2^-24, by key and dimension.
 
-    The dimension of the numbers that belong to a Gaussian is the Gaussian's index in the scene.
+    For numbers that belong to a Gaussian, the dimension is the Gaussian's index over all splat instances.
     """
     return draw_mixed(sample_key, mix(dimension))
 
 
 @wp.func
 def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
-    """Permutes the numbers below 16: returns the number to which permutation number ``word`` maps ``k``.
+    """Returns the number, 0..15, to which the pseudo-random permutation ``word`` of 16 numbers maps ``k``.
 
     Each step of the computation is one-to-one modulo 16.
     """
@@ -138,7 +138,7 @@ def reversed_bits(word: wp.uint32) -> wp.uint32:
 
 @wp.func
 def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
-    """Owen-scrambles a number whose bits are reversed; the result is bit-reversed, too (Laine and Karras 2011).
+    """Owen-scrambles a number; ``word`` and the result have its bits in reverse order (Laine and Karras 2011).
 
     Whether a bit flips depends on the key and on the lower bits of the word, which are the number's higher bits.
     """
@@ -151,7 +151,7 @@ def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
 
 @wp.func
 def second_sobol(index: wp.uint32) -> wp.uint32:
-    """Returns point ``index`` of the second Sobol dimension, bit-reversed.
+    """Returns point ``index`` of the second Sobol dimension as 32 bits in reverse order.
 
     Bit j is the sum, modulo 2, of those bits k of the index for which the binomial coefficient of k over j is odd. By
     Lucas's theorem, these are the k whose binary digits include those of j. The sums are therefore formed in five

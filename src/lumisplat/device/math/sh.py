@@ -21,9 +21,9 @@ C3_5 = wp.constant(wp.float32(1.445305721320277))  # sqrt(105 / (16 pi))
 
 @wp.func
 def sh_color(sh: wp.array[wp.vec3], first: int, degree: int, direction: wp.vec3) -> wp.vec3:
-    """Evaluates the SH colour of a Gaussian, max(sum + 0.5, 0), along a unit view direction.
+    """Returns the SH colour of a Gaussian, ``max(sum + 0.5, 0)``, display-referred, along a unit view direction.
 
-    ``direction`` points from the eye to the mean, object space.
+    ``sh[first]`` is its coefficient of degree 0; ``direction`` points from the eye to the mean, object space.
     """
     color = C0 * sh[first] + wp.vec3(0.5)
     if degree > 0:
@@ -50,7 +50,7 @@ def sh_color(sh: wp.array[wp.vec3], first: int, degree: int, direction: wp.vec3)
 
 
 class ShTerms(wp.types.vector(length=16, dtype=wp.float32)):
-    """Values of all SH basis functions up to degree 3 in one direction."""
+    """Values of the 16 SH basis functions up to degree 3 in one direction."""
 
 
 @wp.func

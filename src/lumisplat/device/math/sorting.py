@@ -22,7 +22,10 @@ def code_of_cell(cell: wp.vec3i) -> int:
 
 @wp.func
 def morton_code(point: wp.vec3, low: wp.vec3, per_cell: wp.vec3) -> int:
-    """Returns the Morton code of a point's cell in a 1024^3 grid; points outside are clamped to the nearest cell."""
+    """Returns the Morton code of the cell of a 1024^3 grid that contains a point; outside, of the nearest cell.
+
+    ``low`` is the grid's lower corner, and ``per_cell`` the number of cells per unit of length.
+    """
     cell = wp.cw_mul(point - low, per_cell)
     x = int(wp.clamp(cell[0], 0.0, 1023.0))
     y = int(wp.clamp(cell[1], 0.0, 1023.0))

@@ -20,7 +20,7 @@ from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshInstanceData
 
 @struct
 class RayShear:
-    """Shear that turns a ray into an axis (Woop, Benthin and Wald 2013)."""
+    """Shear that maps a ray to a coordinate axis, for watertight triangle tests (Woop, Benthin and Wald 2013)."""
 
     axis: int
     """Index of the largest component of the ray's direction."""
@@ -36,10 +36,10 @@ class MeshRay:
 
     origin: wp.vec3
     direction: wp.vec3
-    """Direction, of any length."""
+    """Direction of the ray in object space; not unit, so that distances along it are world-space distances."""
     shear: RayShear
     begin: float
-    """Distance from the origin of the world-space ray to the point where this ray starts."""
+    """World-space distance from the origin of the original ray to the start of this one, close to the mesh's box."""
 
 
 @struct
@@ -48,20 +48,20 @@ class MeshHit:
 
     t: float
     local_t: float
-    """Distance of the hit from the start of the ray in object space; more precise than ``t``, it orders faces of one
-    mesh."""
+    """Distance from the start of the object-space ray to the hit; more precise than ``t``, to sort faces of one mesh.
+    """
     face: int
-    """Index of the triangle in its mesh; -1: none."""
+    """Index of the hit triangle in its own mesh; -1: nothing was hit yet."""
     instance: int
     weights: wp.vec2
 
 
 @struct
 class TriangleHit:
-    """Intersection of a ray with a triangle."""
+    """Intersection of a ray with one triangle: distance and barycentric weights."""
 
     t: float
-    """Distance; inf: the ray misses the triangle."""
+    """Distance along the ray; inf: the ray misses the triangle."""
     weights: wp.vec2
     """Barycentric weights of the triangle's second and third corner at the hit."""
 
@@ -77,7 +77,7 @@ def axis_last(v: wp.vec3, axis: int) -> wp.vec3:
 
 @wp.func
 def ray_shear(direction: wp.vec3) -> RayShear:
-    """Returns the shear for a direction of any length except zero."""
+    """Returns the shear that maps a ray of this direction, of any length but zero, to a coordinate axis."""
     shear = RayShear()
     shear.axis = 2
     size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
@@ -93,9 +93,9 @@ def ray_shear(direction: wp.vec3) -> RayShear:
 
 @wp.func
 def edge_side(a: wp.vec2, b: wp.vec2) -> float:
-    """Returns a number whose sign tells on which side of an edge the ray passes.
+    """Returns ``cross(a, b)``: its sign says on which side of the edge from ``a`` to ``b``, sheared, the ray passes.
 
-    The two triangles of the edge get exactly opposite numbers.
+    The two triangles of an edge get exactly opposite numbers.
     """
     return a[0] * b[1] - a[1] * b[0]
 
@@ -131,16 +131,17 @@ def intersect_triangle(
 
 @wp.func
 def flat_corner(corner: wp.vec3, origin: wp.vec3, shear: RayShear) -> wp.vec2:
-    """Shears a corner and projects it along the ray."""
+    """Returns a triangle's corner relative to the ray, sheared and projected along the ray to two dimensions."""
     turned = axis_last(corner - origin, shear.axis)
     return wp.vec2(turned[0] - shear.slope[0] * turned[2], turned[1] - shear.slope[1] * turned[2])
 
 
 @wp.func
 def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
-    """Returns whether a triangle owns the points on its edge; ``around`` is positive for a counter-clockwise triangle.
+    """Returns whether a hit exactly on the edge from ``start`` to ``end`` counts for this triangle.
 
-    Of the two triangles at an edge, exactly one owns it, as if the ray passed slightly to the left of the edge.
+    ``around`` is positive for a counter-clockwise triangle. Of the two triangles at an edge, exactly one owns it, as if
+    the ray passed slightly to the left of the edge.
     """
     if edge_side(start, end) != 0.0:
         return True
@@ -150,10 +151,9 @@ def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
 
 @wp.func
 def owns_crossing(origin: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
-    """Returns whether a triangle counts as crossed when the ray hits it exactly on an edge or a corner.
+    """Returns whether a hit counts for this triangle in a count of crossings; True inside of its edges.
 
-    Without this rule, a count of crossings would include both triangles at the edge, or all triangles around the
-    corner.
+    On an edge or a corner, the hit counts for exactly one of the triangles that meet there.
     """
     flat_a = flat_corner(v0, origin, shear)
     flat_b = flat_corner(v1, origin, shear)
@@ -171,9 +171,9 @@ BACK = wp.constant(wp.float32(RAY_START_BACK))
 
 @wp.func
 def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> wp.vec2:
-    """Returns the distances at which the infinite line of a ray enters and leaves a box.
+    """Returns the distances, of any sign, at which the infinite line of a ray enters and leaves a box.
 
-    ``inverse`` holds the reciprocals of the direction's components, limited to finite values.
+    ``inverse`` has ``1 / x`` for each component of the direction, limited to finite values.
     """
     a = wp.cw_mul(low - origin, inverse)
     b = wp.cw_mul(high - origin, inverse)
@@ -203,7 +203,7 @@ def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3,
 
 @wp.func
 def is_nearer(t: float, local_t: float, face: int, instance: int, nearest: MeshHit) -> bool:
-    """Returns whether a hit precedes the nearest one so far: by distance, then by instance and face."""
+    """Returns whether a hit comes before the nearest hit so far: by distance, at equal ones by instance and face."""
     if t != nearest.t or nearest.face < 0:
         return t < nearest.t
     if instance != nearest.instance:
@@ -221,7 +221,7 @@ def keep_nearest(
     scene: MeshBvh,
     nearest: wp.ref[MeshHit],
 ):
-    """Replaces the nearest hit so far if the ray hits a triangle of instance ``number`` before it."""
+    """Intersects a ray with a triangle of instance ``number``, and stores the hit if it is nearer than ``nearest``."""
     hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
     t = ray.begin + hit.t
     if t > t_min and is_nearer(t, hit.t, triangle.face, number, nearest):
@@ -249,7 +249,10 @@ def walk_instance(
     scene: MeshBvh,
     nearest: wp.ref[MeshHit],
 ):
-    """Finds the nearest triangle of instance ``number`` by traversing its BVH; uses the stack entries above ``top``."""
+    """Finds the nearest triangle of mesh instance ``number`` on a ray, by traversing the BVH of its mesh.
+
+    The traversal uses the stack entries from ``top`` on. ``nearest`` is changed only by a nearer hit.
+    """
     span = box_span(origin, inverse_or_large(direction), scene.instances[number].low, scene.instances[number].high)
     if not (span[0] <= span[1] and span[1] > t_min and span[0] <= nearest.t):
         return
@@ -281,7 +284,10 @@ def nearest_triangle(
     sample_key: wp.uint32,
     scene: MeshBvh,
 ) -> MeshHit:
-    """Returns the nearest triangle hit between ``t_min`` and ``t_max`` on a ray; t is ``t_max`` without a hit."""
+    """Returns the nearest triangle of all mesh instances that a ray hits between ``t_min`` and ``t_max``.
+
+    Without a hit, ``t`` is ``t_max`` and ``face`` is -1.
+    """
     nearest = MeshHit()
     nearest.t = t_max
     nearest.face = -1

@@ -51,7 +51,7 @@ def wrapped(x: float, mode: int) -> float:
 
 @wp.func
 def neighbour(k: int, size: int, mode: int) -> int:
-    """Returns the texel index for ``k``, which may be one beyond the texture: -1 to ``size``.
+    """Returns the index, within a texture row or column of ``size`` texels, of texel ``k``, -1 to ``size``.
 
     A repeating texture wraps around; otherwise, the texel at the edge is returned.
     """
@@ -62,7 +62,10 @@ def neighbour(k: int, size: int, mode: int) -> int:
 
 @wp.func
 def texel_window(texture: TextureData, uv: wp.vec2) -> wp.vec4i:
-    """Returns the indices of the four texels around ``uv``: the upper two from left to right, then the lower two."""
+    """Returns the indices of the four texels around ``uv``: the upper two from left to right, then the lower two.
+
+    They index the texels of all textures.
+    """
     x0 = int(wp.floor(wrapped(uv[0], texture.wrap_u) * float(texture.width) - 0.5))
     y0 = int(wp.floor(wrapped(uv[1], texture.wrap_v) * float(texture.height) - 0.5))
     left = neighbour(x0, texture.width, texture.wrap_u)
@@ -84,7 +87,7 @@ def texel_shares(texture: TextureData, uv: wp.vec2) -> wp.vec2:
 def sample_texture(
     texels: wp.array[wp.uint32], value_of_byte: wp.array[float], texture: TextureData, uv: wp.vec2
 ) -> wp.vec3:
-    """Samples a texture's decoded colour at ``uv``."""
+    """Samples a texture's colour at ``uv``, bilinear; ``value_of_byte`` decodes its channels."""
     window = texel_window(texture, uv)
     shares = texel_shares(texture, uv)
     top = wp.lerp(
@@ -98,7 +101,7 @@ def sample_texture(
 
 @wp.func
 def sample_alpha(texels: wp.array[wp.uint32], texture: TextureData, uv: wp.vec2) -> float:
-    """Samples a texture's alpha at ``uv``, 0..1."""
+    """Samples a texture's alpha at ``uv``, bilinear, 0..1."""
     window = texel_window(texture, uv)
     shares = texel_shares(texture, uv)
     top = wp.lerp(texel_alpha(texels, window[0]), texel_alpha(texels, window[1]), shares[0])
@@ -109,7 +112,7 @@ def sample_alpha(texels: wp.array[wp.uint32], texture: TextureData, uv: wp.vec2)
 # --- Colour, alpha and normals ---
 
 ALPHA_BRANCH = wp.constant(16)
-"""Branch of a ray's key for random alpha tests."""
+"""Branch of a ray's random key from which random alpha tests draw their numbers."""
 
 
 @wp.func
@@ -158,10 +161,11 @@ def surface_alpha(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3
 def passes_alpha_test(
     instance: MeshInstanceData, meshes: MeshData, face: int, weights: wp.vec3, sample_key: wp.uint32
 ) -> bool:
-    """Returns whether a ray hits the surface at a point of triangle ``face``.
+    """Returns whether a ray hits the surface at a point of triangle ``face``, by its alpha.
 
-    The test is random, with alpha as the probability, or passes wherever alpha is above 0. ``weights`` are barycentric;
-    ``sample_key`` is the key of the ray's random numbers.
+    The test is random with probability alpha if ``is_drawn`` of the material is set; else it passes wherever alpha is
+    above
+    0. ``weights`` are barycentric; ``sample_key`` is the key of the ray's random numbers.
     """
     alpha = surface_alpha(instance, meshes, meshes.indices[face], weights)
     if instance.alpha.is_drawn != 0 and alpha < 1.0:
@@ -216,7 +220,7 @@ class Layers:
 
 @wp.func
 def factor(meshes: MeshData, texture: TextureData, uv: wp.vec2, channel: int) -> float:
-    """Returns one channel of a texture, linear; 1 without a texture."""
+    """Returns channel ``channel`` of a texture at ``uv`` as byte / 255, 0..1; 1 if there is no texture."""
     if texture.width == 0:
         return 1.0
     return sample_texture(meshes.texels, meshes.unit_from_byte, texture, uv)[channel]
@@ -224,7 +228,10 @@ def factor(meshes: MeshData, texture: TextureData, uv: wp.vec2, channel: int) ->
 
 @wp.func
 def curve_at(curves: wp.array[wp.vec4], roughness: float) -> wp.vec4:
-    """Interpolates sheen albedo coefficients for a roughness, in a table that is denser at low roughness."""
+    """Returns the polynomial coefficients of the sheen albedo for a roughness, interpolated in the table ``curves``.
+
+    The table is denser at low roughness.
+    """
     last = curves.shape[0] - 1
     position = wp.sqrt((roughness - SHEEN_MIN) / (1.0 - SHEEN_MIN)) * float(last)
     k = wp.min(int(position), last - 1)
@@ -258,7 +265,7 @@ def layers_at(varied: int, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3
 
 @wp.func
 def with_layers(bsdf: Bsdf, layers: Layers) -> Bsdf:
-    """Returns a BSDF with the clearcoat and sheen of ``layers``."""
+    """Returns ``bsdf`` with clearcoat and sheen replaced by those of ``layers``."""
     layered = bsdf
     layered.coat = layers.coat
     layered.coat_alpha = layers.coat_alpha
@@ -270,7 +277,7 @@ def with_layers(bsdf: Bsdf, layers: Layers) -> Bsdf:
 
 @wp.func
 def material_at(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> SmoothData:
-    """Returns a mesh's specular reflection and transmission parameters at barycentric ``weights`` of a triangle."""
+    """Returns the specular reflection and transmission of a mesh at barycentric ``weights``, textures included."""
     material = instance.material
     if material.varied == 0:
         return material

@@ -25,11 +25,11 @@ def comes_first(a: wp.vec3, b: wp.vec3) -> bool:
 
 @wp.func
 def edge_function(a: wp.vec3, b: wp.vec3) -> wp.vec3:
-    """Returns the cross product of two corners, accurate to the difference of the corners.
+    """Returns ``cross(a, b)`` of two corners of a triangle, accurate relative to their difference.
 
-    ``cross(a, b)`` computed directly would cancel for corners that are close to each other and far from the eye. Both
-    triangles of an edge start from the corner that is first in lexicographic order, so that their edge functions are
-    exact negatives of each other.
+    The plain cross product would cancel for corners that are close to each other and far from the eye. Both triangles
+    of an edge start from the corner that is first in lexicographic order, so that their edge functions are exact
+    negatives of each other.
     """
     if comes_first(a, b):
         return wp.cross(a, b - a)
@@ -38,7 +38,7 @@ def edge_function(a: wp.vec3, b: wp.vec3) -> wp.vec3:
 
 @wp.func
 def setup_triangle(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> Triangle:
-    """Computes the edge functions and the plane of a camera-space triangle."""
+    """Prepares a triangle, given by its camera-space corners, for rasterisation: edge functions and plane."""
     triangle = Triangle()
     triangle.edge0 = edge_function(v1, v2)
     triangle.edge1 = edge_function(v2, v0)
@@ -50,7 +50,7 @@ def setup_triangle(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> Triangle:
 
 @wp.func
 def barycentric(triangle: Triangle, ray: wp.vec3) -> wp.vec3:
-    """Returns the perspective-correct barycentric coordinates of the point where a ray hits the triangle."""
+    """Returns the perspective-correct barycentric weights of the point where a camera-space ray hits the triangle."""
     weights = wp.vec3(wp.dot(triangle.edge0, ray), wp.dot(triangle.edge1, ray), wp.dot(triangle.edge2, ray))
     return weights / (weights[0] + weights[1] + weights[2])
 
@@ -77,9 +77,9 @@ def project_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
 
 @wp.func
 def grow_box(box: wp.vec4, camera: CameraData, a: wp.vec3, b: wp.vec3) -> wp.vec4:
-    """Extends a pixel box (x0, y0, x1, y1) by corner ``a`` of a triangle and its edge from ``a`` to ``b``.
+    """Extends a pixel box (x0, y0, x1, y1) by corner ``a`` of a triangle, unless it lies before the near plane.
 
-    If the edge crosses the near plane, the box is extended by the crossing point.
+    If the edge from ``a`` to ``b`` crosses the near plane, the box is extended by the crossing point.
     """
     if a[2] >= camera.near:
         p = project_point(camera, a)
@@ -93,7 +93,7 @@ def grow_box(box: wp.vec4, camera: CameraData, a: wp.vec3, b: wp.vec3) -> wp.vec
 
 @wp.func
 def triangle_box(camera: CameraData, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> wp.vec4:
-    """Returns the pixel box of the part of a triangle beyond the near plane; inverted if there is none."""
+    """Returns the pixel box (x0, y0, x1, y1) of a triangle's part beyond the near plane; x0 > x1: there is none."""
     box = wp.vec4(wp.inf, wp.inf, -wp.inf, -wp.inf)
     box = grow_box(box, camera, v0, v1)
     box = grow_box(box, camera, v1, v2)
@@ -105,13 +105,13 @@ def triangle_box(camera: CameraData, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> w
 
 @wp.func
 def has_alpha(triangle: Triangle, scene: RasterMeshes) -> bool:
-    """Returns whether a triangle's material is not opaque."""
+    """Returns whether the material of a triangle has an alpha mode other than opaque."""
     return scene.instances[triangle.instance - scene.splat_instance_count].alpha.mode != ALPHA_OPAQUE
 
 
 @wp.func
 def pixel_passes_alpha_test(triangle: Triangle, ray: wp.vec3, pixel: int, scene: RasterMeshes) -> bool:
-    """Returns whether the triangle passes the alpha test where the camera-space ray of a pixel hits it."""
+    """Returns whether a pixel shows the triangle by its alpha at the point that the pixel's camera-space ray hits."""
     sample = scene.sample[0]
     key = sample_key_of(pixel, sample.index, sample.seed)
     instance = scene.instances[triangle.instance - scene.splat_instance_count]

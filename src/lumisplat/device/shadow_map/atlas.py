@@ -1,4 +1,7 @@
-"""Texels of a deep shadow map: by direction from the light or, for parallel light, by position in a plane across it."""
+"""Texels of a deep shadow map: by direction from the light or, for parallel light, by position in a plane across it.
+
+The atlas is the square image, or the six faces of a cubemap, that consists of the texels of one light.
+"""
 
 import warp as wp
 
@@ -20,45 +23,45 @@ EVERYTHING: int = wp.constant(2)
 
 @struct
 class Atlas:
-    """A light and the space around it, divided into texels and bins.
+    """Layout of a deep shadow map: a light, its texels, and bins of distance from the light.
 
     The atlas has one face, or six for a cubemap, of ``size`` by ``size`` texels. Texels are numbered tile by tile.
     """
 
     layout: int
-    """OCTAHEDRAL, CUBEMAP or PARALLEL."""
+    """How texels map to rays from the light: OCTAHEDRAL or CUBEMAP for a point light, or PARALLEL."""
     size: int
-    """Texels across a face, a multiple of ``TILE``."""
+    """Number of texels along each side of a face, a multiple of ``TILE``."""
     origin: wp.vec3
-    """Position of the light; for parallel light, the corner of texel (0, 0)."""
+    """World-space position of a point light; for parallel light, the outer corner of texel (0, 0)."""
     axes: wp.mat33
-    """World from light, for parallel light: columns are the atlas's x and y and the direction of the light."""
+    """Parallel light: rotation to world space, whose columns are the texels' x and y axes and the travel direction."""
     texel_length: float
-    """Side of a texel for parallel light, scene units."""
+    """Parallel light: side of a texel in the plane across the light, scene units."""
     bins: int
     bin_length: float
-    """Length along a ray from the light of each distance bin, scene units."""
+    """Length of each distance bin along a ray from the light, scene units."""
 
 
 @struct
 class AtlasPoint:
-    """A point in atlas coordinates."""
+    """Face, texel position and distance from the light of a point in a deep shadow map."""
 
     face: int
     x: float
-    """Column in texels; centres are whole numbers."""
+    """Column on the face, in texels, as a fraction; texel centres are whole numbers."""
     y: float
     distance: float
-    """Distance from the light, scene units."""
+    """Distance of the point from the light along its ray, scene units."""
 
 
 @struct
 class LightRay:
-    """Ray from the light through a texel's centre."""
+    """Ray from the light through a position of a deep shadow map."""
 
     origin: wp.vec3
     direction: wp.vec3
-    """Direction, unit."""
+    """Unit direction from the light, world space."""
 
 
 TILE: int = wp.constant(SHADOW_TILE)
@@ -68,7 +71,7 @@ TILE_TEXELS: int = wp.constant(SHADOW_TILE * SHADOW_TILE)
 
 @wp.func
 def parallel_direction(atlas: Atlas) -> wp.vec3:
-    """Returns the travel direction of parallel light, unit."""
+    """Returns the unit direction in which parallel light travels, world space."""
     return wp.vec3(atlas.axes[0, 2], atlas.axes[1, 2], atlas.axes[2, 2])
 
 
@@ -114,21 +117,21 @@ def direction_from_cube(face: int, at: wp.vec2) -> wp.vec3:
 
 @wp.func
 def texels_from_unit(atlas: Atlas, at: wp.vec2) -> wp.vec2:
-    """Converts coordinates in -1..1 to texels, whose centres are whole numbers."""
+    """Converts coordinates on a face, -1..1 each, to texels, whose centres are whole numbers."""
     half = 0.5 * float(atlas.size)
     return wp.vec2((at[0] + 1.0) * half - 0.5, (at[1] + 1.0) * half - 0.5)
 
 
 @wp.func
 def unit_from_texels(atlas: Atlas, x: float, y: float) -> wp.vec2:
-    """Converts texels, whose centres are whole numbers, to coordinates in -1..1."""
+    """Converts a position in texels, whose centres are whole numbers, to coordinates on a face, -1..1 each."""
     scale = 2.0 / float(atlas.size)
     return wp.vec2((x + 0.5) * scale - 1.0, (y + 0.5) * scale - 1.0)
 
 
 @wp.func
 def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
-    """Returns the atlas coordinates of a direction from a point light; the point's distance is set to 0.
+    """Returns the face and texel position that a direction from a point light passes; the distance is set to 0.
 
     The direction may have any length.
     """
@@ -152,7 +155,7 @@ def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
 
 @wp.func
 def atlas_from_world(atlas: Atlas, point: wp.vec3) -> AtlasPoint:
-    """Returns the atlas coordinates of a world-space point.
+    """Returns the face, texel position and distance from the light of a world-space point.
 
     At the light's own position, the distance is 0 and the direction arbitrary.
     """
@@ -174,7 +177,7 @@ def atlas_from_world(atlas: Atlas, point: wp.vec3) -> AtlasPoint:
 
 @wp.func
 def ray_through(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
-    """Returns the ray from the light through a position of an atlas face, given in texels."""
+    """Returns the ray from the light through position (x, y), in texels, of face ``face``."""
     ray = LightRay()
     if atlas.layout == PARALLEL:
         ray.origin = atlas.origin + atlas.axes * wp.vec3(
@@ -192,9 +195,9 @@ def ray_through(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
 
 @wp.func
 def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
-    """Returns the index of a texel; one step beyond an edge, the index of the texel that adjoins it on the sphere.
+    """Returns the index of texel (x, y) of a face; one step beyond an edge, that of its neighbour on the sphere.
 
-    -1: outside the plane of parallel light, which has no adjoining texel.
+    -1: outside the plane of parallel light, where there is no neighbour.
     """
     size = atlas.size
     if x < 0 or y < 0 or x >= size or y >= size:

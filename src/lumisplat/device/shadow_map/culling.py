@@ -1,4 +1,7 @@
-"""Bounds of casters and of atlas cells, and their intersection test (docs/method/deep_shadow_maps.md#culling)."""
+"""Culling of casters (Gaussians that block light) for the cells (squares of texels) of a deep shadow map.
+
+It tests the bounds of both for intersection (docs/method/deep_shadow_maps.md#culling).
+"""
 
 import warp as wp
 
@@ -9,58 +12,59 @@ from lumisplat.device.shadow_map.optical_depth import Casters, reach_squared_of
 from lumisplat.device.structs import struct
 
 SHADOW_BOUND_STEP = 4
-"""Distance in texels between the points on a tile's edges from which the tile's cone is computed.
+"""The cone around a cell's rays is computed from points on the cell's edges at this distance, in texels.
 
 The edges of the atlas fold at multiples of this distance, because the sizes of atlases are multiples of 8."""
 
 
 @struct
 class Footprint:
-    """Part of an atlas where an occluder's optical depth is not negligible.
+    """Bounds of the light rays on which a caster, a Gaussian that blocks light, has noticeable optical depth.
 
-    For a point light, it lies in the plane that touches the unit sphere in the occluder's direction (gnomonic
-    projection); for parallel light, in the plane across the light.
+    They are a cone, and a rectangle in a plane: for a point light, the plane that touches the unit sphere in the
+    caster's direction (gnomonic projection); for parallel light, the plane across the light.
     """
 
     extent: int
-    """NOTHING: the whole optical depth is negligible. SOMETHING: the rectangle from ``low`` to ``high``. EVERYTHING:
-    the whole atlas."""
+    """NOTHING: the caster darkens no ray. SOMETHING: only rays within the bounds. EVERYTHING: any ray may be darkened.
+    """
     direction: wp.vec3
-    """Unit direction from the light to the occluder."""
+    """Unit direction from the light to the caster; for parallel light, the direction in which it travels."""
     cosine: float
-    """Cosine of the half angle of the circular cone around the occluder."""
+    """Cosine of the half angle of the cone from a point light around the caster."""
     sine: float
     first: wp.vec3
-    """First axis of the plane: the longer axis of the occluder's shadow."""
+    """Unit axis of the rectangle along the longer axis of the caster's shadow, world space."""
     second: wp.vec3
     low: wp.vec2
-    """Lower bounds of the rectangle along the plane's two axes."""
+    """Lower bounds of the rectangle along its two axes, ``first`` and ``second``."""
     high: wp.vec2
-    """Upper bounds of the rectangle along the plane's two axes."""
+    """Upper bounds of the rectangle along its two axes, ``first`` and ``second``."""
 
 
 @struct
 class Cell:
-    """A square of texels with a bounding cone of the rays through it; for parallel light, a bounding cylinder."""
+    """A square of texels, with a cone around the rays through it or, for parallel light, a cylinder."""
 
     axis: wp.vec3
-    """Unit axis of the cone; for parallel light, the centre of the square relative to the light's origin."""
+    """Point light: unit axis of the cone. Parallel light: centre of the square relative to ``Atlas.origin``."""
     cosine: float
-    """Cosine of the cone's half angle; below 0 the cone exceeds a half space and bounds nothing."""
+    """Point light: cosine of the cone's half angle; below 0, the cone exceeds a half space and bounds nothing."""
     sine: float
-    """Sine of the cone's half angle; for parallel light, the cylinder's radius, scene units."""
+    """Point light: sine of the cone's half angle. Parallel light: radius of the cylinder, scene units."""
     parent: int
-    """Index of the list of casters that culling tests against this cell."""
+    """Index of the list, in CasterLists, of the casters of a larger cell around this one; only they are tested against
+    it."""
 
 
 @struct
 class CasterLists:
-    """Lists of casters, stored one after another."""
+    """Lists of casters (Gaussians that block light), one for each cell of texels, in one array."""
 
     ends: wp.array[int]
-    """End of each list in ``items``, which is the start of the next list."""
+    """Index in ``items`` after the last caster of each list; the next list begins there."""
     items: wp.array[int]
-    """Indices of casters, ascending in each list."""
+    """Indices of casters, list by list, ascending within each list."""
 
 
 STEP: int = wp.constant(SHADOW_BOUND_STEP)
@@ -70,7 +74,7 @@ MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
 @wp.func
 def longer_axis(ellipsoid: wp.mat33, direction: wp.vec3) -> wp.vec3:
-    """Returns the unit vector along the longer axis of an ellipsoid's shadow in the plane across a direction.
+    """Returns the unit vector along the longer axis of an ellipsoid's parallel shadow on a plane across ``direction``.
 
     The columns of ``ellipsoid`` are the semi-axes.
     """
@@ -84,11 +88,11 @@ def longer_axis(ellipsoid: wp.mat33, direction: wp.vec3) -> wp.vec3:
 
 @wp.func
 def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> Footprint:
-    """Returns the footprint of caster ``i``: the ellipsoid beyond which it casts no shadow, seen from the light.
+    """Returns the bounds of the rays from the light that caster ``i`` darkens more than negligibly.
 
-    Beyond the ellipsoid, the caster's optical depth is negligible. The rectangle of the footprint lies along the axes
-    of the covariance across the light, and bounds the ellipsoid's perspective image exactly, by its dual quadric
-    (docs/method/deep_shadow_maps.md#footprint).
+    They bound an ellipsoid beyond which the caster's optical depth is negligible. The rectangle lies along the axes of
+    the ellipsoid's shadow, and bounds its perspective image exactly, by its dual quadric
+    (docs/method/deep_shadow_maps.md#footprint). ``absorption`` is that at the caster's mean, per scene unit.
     """
     footprint = Footprint()
     scale = casters.scales[i]
@@ -136,7 +140,7 @@ def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> F
 
 @wp.func
 def perimeter_point(k: int, side: int) -> wp.vec2:
-    """Returns point ``k`` on the perimeter of a square of ``side`` texels; the points are ``STEP`` texels apart."""
+    """Returns point ``k``, in texels, of points ``STEP`` texels apart on the perimeter of a square of side ``side``."""
     steps = side // STEP
     along = float((k % steps) * STEP)
     edge = k // steps
@@ -151,12 +155,11 @@ def perimeter_point(k: int, side: int) -> wp.vec2:
 
 @wp.func
 def bounded_cell(atlas: Atlas, corner: wp.vec3i, side: int, parent: int) -> Cell:
-    """Returns the cell of a square of ``side`` texels, with the cone or cylinder that bounds points on its edges.
+    """Returns the cell of ``side`` x ``side`` texels from ``corner`` on, with the cone or cylinder around its rays.
 
-    Between two points of an edge that does not fold lies a great circle, all of which is nearer to the cone's axis than
-    one of the two points. The cone therefore bounds the whole edge.
-
-    ``corner`` has face, x and y of the first texel; ``side`` is a multiple of ``STEP``.
+    ``corner`` is the face, x and y of the first texel; ``side`` is a multiple of ``STEP``. The cone contains points on
+    the edges. Between two points of an edge that does not fold lies a great circle, all of which is nearer to the
+    cone's axis than one of the two, so that the cone contains the whole edge.
     """
     cell = Cell()
     cell.parent = parent
@@ -198,7 +201,7 @@ def overlaps(axis_cosine: float, forward: float, sine: float, low: float, high: 
 
 @wp.func
 def may_intersect(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
-    """Returns whether rays through a cell may have more than negligible optical depth in the caster of a footprint.
+    """Returns whether rays through a cell may be darkened by the caster with bounds ``footprint``.
 
     The test is conservative: it never returns False for such a ray.
     """

@@ -1,4 +1,7 @@
-"""Sample points of receivers in a deep shadow map (docs/method/deep_shadow_maps.md#lookup)."""
+"""Points at which receivers (Gaussians that light falls on) read a deep shadow map.
+
+See docs/method/deep_shadow_maps.md#lookup.
+"""
 
 import math
 
@@ -10,15 +13,13 @@ from lumisplat.device.shadow_map.atlas import EVERYTHING, NOTHING, PARALLEL, Atl
 from lumisplat.device.structs import struct
 
 SHADOW_TEXEL_ANGLE = 12.0
-"""Largest angle between a sample's direction and the texels that its lookup reads, times the texels across a face;
-radians.
+"""A lookup reads texels within this angle, in radians, divided by the texels across a face, of its direction.
 
-A lookup reads texels up to one texel diagonal away. A texel is 2 / size wide in octahedral coordinates, which stretch
-to at most 3 radians per unit."""
+Texels up to one texel diagonal away are read. A texel is 2 / size wide in octahedral coordinates, which stretch to at
+most 3 radians per unit."""
 
 SHADOW_STENCIL_WEIGHT = 0.6065306597126334
-"""Weight of the stencil's outer points relative to its centre: exp(-1/2), because they lie at one standard deviation.
-"""
+"""Weight of the STENCIL pattern's outer points relative to its centre: exp(-1/2), for one standard deviation."""
 
 CENTER: int = wp.constant(0)
 
@@ -29,36 +30,37 @@ RANDOM: int = wp.constant(2)
 
 @struct
 class Receivers:
-    """Gaussians for which a shadow map is sampled, world space."""
+    """Gaussians that light falls on, world space, at which the shadow map is read."""
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
     """Rotation from the Gaussian's axes to world space."""
     scales: wp.array[wp.vec3]
-    """Standard deviations; 0: a point."""
+    """Standard deviations along the Gaussian's axes, scene units; 0: a point."""
 
 
 @struct
 class ShadowBound:
-    """Cone from the light, or cylinder for parallel light, around all points that casters can darken."""
+    """Bound of all points that casters can darken: a cone from a point light, or a cylinder along parallel light."""
 
     extent: int
-    """NOTHING: no point is shadowed. SOMETHING: only points in the cone or cylinder are. EVERYTHING: any point may be.
-    """
+    """NOTHING: no point is in shadow. SOMETHING: only points within the bound may be. EVERYTHING: any point may be."""
     axis: wp.vec3
-    """Unit axis of the cone; for the cylinder, a point on its axis relative to the atlas's origin."""
+    """Point light: unit axis of the cone. Parallel light: a point on the cylinder's axis, relative to
+    ``Atlas.origin``."""
     radius: float
-    """Half angle of the cone, radians; radius of the cylinder, scene units."""
+    """Point light: half angle of the cone, radians. Parallel light: radius of the cylinder, scene units."""
 
 
 @struct
 class FootprintSampling:
-    """Pattern of sample points within a receiver's extent at which the shadow map is read."""
+    """At which points within its extent a receiving Gaussian reads the shadow map."""
 
     pattern: int
-    """CENTER, STENCIL or RANDOM."""
+    """CENTER: at the mean. STENCIL: also one standard deviation along each axis. RANDOM: normally distributed points.
+    """
     count: int
-    """Number of sample points for each receiver."""
+    """Number of points at which each receiver reads the shadow map."""
     seed: wp.uint32
 
 
@@ -77,13 +79,13 @@ ERF_ARGUMENT_MAX = wp.constant(wp.float32(1.0 - 2.0**-23))
 
 @wp.func
 def normal_from_unit(u: float) -> float:
-    """Returns the quantile of the standard normal distribution for a probability ``u``, 0..1."""
+    """Returns x such that a standard normal random number is below x with probability ``u``, 0..1."""
     return SQRT_2 * wp.erfinv(wp.clamp(2.0 * u - 1.0, -ERF_ARGUMENT_MAX, ERF_ARGUMENT_MAX))
 
 
 @wp.func
 def sample_offset(sampling: FootprintSampling, receiver: int, sample: int) -> wp.vec3:
-    """Returns a sample's offset from its receiver's mean, in standard deviations along the receiver's axes."""
+    """Returns where sample ``sample`` of a receiver lies from its mean, in standard deviations along its axes."""
     offset = wp.vec3(0.0)
     if sampling.pattern == STENCIL and sample > 0:
         offset[(sample - 1) // 2] = wp.where(sample % 2 == 1, 1.0, -1.0)
@@ -99,13 +101,16 @@ def sample_offset(sampling: FootprintSampling, receiver: int, sample: int) -> wp
 
 @wp.func
 def sample_weight(sampling: FootprintSampling, sample: int) -> float:
-    """Returns the weight of a sample; weights are normalised afterwards."""
+    """Returns the weight of sample ``sample`` of a receiver: 1 or, for outer STENCIL points, exp(-1/2).
+
+    The weights are not normalised.
+    """
     return wp.where(sampling.pattern == STENCIL and sample > 0, OUTER_WEIGHT, 1.0)
 
 
 @wp.func
 def sample_point(receivers: Receivers, sampling: FootprintSampling, receiver: int, sample: int) -> wp.vec3:
-    """Returns a sample's world-space position: the receiver's mean plus its scaled and rotated ``sample_offset``."""
+    """Returns the world-space position of sample ``sample`` of a receiver, as ``sample_offset`` gives it."""
     mean = receivers.means[receiver]
     if sampling.pattern == CENTER:
         return mean
@@ -115,7 +120,7 @@ def sample_point(receivers: Receivers, sampling: FootprintSampling, receiver: in
 
 @wp.func
 def may_be_shadowed(atlas: Atlas, bound: ShadowBound, receivers: Receivers, receiver: int) -> bool:
-    """Returns whether the samples of a receiver may read a texel that casters reach.
+    """Returns whether any sample of a receiver may read a texel with shadow; False: all of it is lit.
 
     The test is cheap and rejects most receivers.
     """

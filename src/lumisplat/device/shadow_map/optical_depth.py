@@ -13,74 +13,75 @@ from lumisplat.device.shadow_map.atlas import PARALLEL, TILE_TEXELS, Atlas, Ligh
 from lumisplat.device.structs import struct
 
 SHADOW_DEPTH_MIN = 1e-6
-"""Largest optical depth of a whole Gaussian along a ray that culling ignores.
+"""A Gaussian is culled for rays on which its total optical depth is below this value.
 
 A thousand ignored Gaussians change the transmittance by 0.001."""
 
 SHADOW_ERF_MAX = 4.0
-"""Argument from which the error function counts as one: erfc(4) is 1.5e-8, below float32's last digit."""
+"""From this argument on, the error function counts as 1: erfc(4) is 1.5e-8, below float32's last digit."""
 
 
 @struct
 class Casters:
-    """Gaussians that block light, world space."""
+    """Gaussians that block light, world space, one element for each Gaussian."""
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
     """Rotation from the Gaussian's axes to world space."""
     scales: wp.array[wp.vec3]
-    """Standard deviations."""
+    """Standard deviations along the Gaussian's axes, scene units."""
     opacities: wp.array[float]
 
 
 @struct
 class Occluder:
-    """A caster prepared for optical depth along rays (docs/method/deep_shadow_maps.md#optical-depth)."""
+    """A Gaussian that blocks light, prepared for optical depth (docs/method/deep_shadow_maps.md#optical-depth)."""
 
     offset: wp.vec3
-    """Vector from the light to the mean, world space."""
+    """Vector from ``Atlas.origin``, the light, to the Gaussian's mean, world space."""
     canonical_from_world: wp.mat33
     """Inverse of rotation times scale; the precision matrix A is this matrix's transpose times the matrix."""
     absorption: float
     """Absorption at the mean (amplitude beta), per scene unit; 0: the caster absorbs nothing."""
     radius2: float
-    """Squared distance from the mean beyond which the optical depth is negligible, scene units."""
+    """Squared distance of a ray from the mean beyond which its optical depth is negligible, scene units squared."""
 
 
 @struct
 class DepthProfile:
-    """Optical depth of one occluder along a ray: an error function of the distance."""
+    """Optical depth of one Gaussian along a light ray, as an error function of the distance."""
 
     total: float
-    """Optical depth along the whole line of the ray, in both directions."""
+    """Optical depth of the Gaussian along the infinite line of the ray."""
     peak: float
-    """Distance along the ray at which absorption is strongest, scene units; negative: behind the light."""
+    """Distance along the ray at which the Gaussian absorbs most, scene units; negative: behind the light."""
     sharpness: float
-    """sqrt(a / 2) of docs/method/deep_shadow_maps.md#optical-depth, per scene unit."""
+    """``sqrt(a / 2)``, where a is the squared length of the ray's unit direction in canonical space; per scene unit."""
 
 
 @struct
 class Column:
-    """Range of distance bins of a texel for which the table stores transmittances."""
+    """The distance bins of one texel for which transmittances are stored."""
 
     first: int
-    """Index of the first stored bin."""
+    """Index of the first stored bin; nearer to the light, the texel is fully lit."""
     count: int
     """Number of stored bins; 0: the texel is lit at all distances."""
     offset: int
-    """Position of the first stored bin in ``Table.values``."""
+    """Index in ``Table.values`` of the transmittance of the first stored bin."""
 
 
 @struct
 class Table:
-    """Transmittances of an atlas by texel and distance bin."""
+    """Contents of a deep shadow map: transmittance by texel and distance bin."""
 
     slots: wp.array[int]
-    """Position of each atlas tile's columns in ``columns``, in tiles; -1: the tile is fully lit and has no columns."""
+    """For each tile of texels, the position of its columns in ``columns``, counted in tiles; -1: fully lit, no
+    columns."""
     columns: wp.array[Column]
-    """Columns of the texels, one tile after another."""
+    """Stored range of bins of each texel, tile by tile, for tiles that are not fully lit."""
     values: wp.array[float]
-    """Transmittances of each column, bin by bin."""
+    """Transmittance, 0..1, at the centre of each stored bin, texel by texel, away from the light."""
 
 
 SIMPLE: int = wp.constant(0)
@@ -100,12 +101,12 @@ SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
 
 @wp.func
 def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3) -> float:
-    """Returns the absorption at a Gaussian's mean (amplitude beta), per scene unit, that corresponds to its opacity.
+    """Returns beta, the absorption at a Gaussian's mean, per scene unit, for its opacity.
 
-    AVERAGE gives a ray through the mean the opacity if the Gaussian is as thick along the ray as the root mean square
-    of its inverse scales says (docs/method/deep_shadow_maps.md#absorption). MASS divides by the volume, as Mir et al.'s
-    ``diag`` does: the product of the scales is the root of the covariance's determinant. Otherwise, beta is the optical
-    depth that belongs to the opacity.
+    d is the optical depth of the opacity, ``-strength log(1 - opacity)``. AVERAGE gives d to a ray through the mean if
+    the Gaussian is as thick along the ray as the root mean square of its inverse scales says
+    (docs/method/deep_shadow_maps.md#absorption). MASS divides d by the Gaussian's volume, as Mir et al.'s ``diag``
+    does. SIMPLE takes d itself.
     """
     depth = -strength * wp.log(1.0 - wp.min(opacity, OPACITY_MAX))
     if mapping == AVERAGE:
@@ -118,9 +119,9 @@ def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3)
 
 @wp.func
 def reach_squared_of(absorption: float, scale: wp.vec3) -> float:
-    """Returns the squared canonical distance from the mean at which a line's optical depth becomes negligible.
+    """Returns the squared distance from the mean, in standard deviations, from which optical depth is negligible.
 
-    The distance holds for lines of any direction. It is negative if the optical depth is negligible on every line.
+    It holds for rays of any direction, and is negative if the optical depth is negligible on all rays.
     """
     if absorption <= 0.0:
         return -1.0
@@ -129,7 +130,7 @@ def reach_squared_of(absorption: float, scale: wp.vec3) -> float:
 
 @wp.func
 def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: float) -> Occluder:
-    """Prepares caster ``i`` as an occluder relative to the light."""
+    """Prepares caster ``i``, a Gaussian that blocks light, for optical depth along rays from the light."""
     occluder = Occluder()
     scale = casters.scales[i]
     occluder.offset = casters.means[i] - atlas.origin
@@ -142,7 +143,7 @@ def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: 
 
 @wp.func
 def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
-    """Returns whether a ray passes close enough to an occluder to be darkened.
+    """Returns whether a light ray passes a Gaussian closely enough to be darkened; ``light`` is ``Atlas.origin``.
 
     The test is cheap and rejects most rays of a tile.
     """
@@ -154,10 +155,10 @@ def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
 
 @wp.func
 def depth_profile(occluder: Occluder, ray: LightRay, light: wp.vec3) -> DepthProfile:
-    """Returns an occluder's optical depth along a ray (docs/method/deep_shadow_maps.md#line-distance).
+    """Returns a Gaussian's optical depth along a light ray; ``light`` is ``Atlas.origin``.
 
     The line's nearest point to the mean is found in world space first, then in canonical space, where the remainder is
-    small: no difference of large numbers is taken.
+    small: no difference of large numbers is taken (docs/method/deep_shadow_maps.md#line-distance).
     """
     profile = DepthProfile()
     to_mean = occluder.offset - (ray.origin - light)
@@ -186,9 +187,9 @@ def erf_between(low: float, high: float) -> float:
 
 @wp.func
 def depth_until(profile: DepthProfile, start: float, distance: float) -> float:
-    """Returns the optical depth of an occluder from the start of the light to a distance.
+    """Returns the optical depth of a Gaussian on its ray from the light to ``distance``.
 
-    ``start`` is the argument of the error function at the start (docs/method/deep_shadow_maps.md#optical-depth).
+    ``start`` is the argument of the error function at the light (docs/method/deep_shadow_maps.md#optical-depth).
     """
     end = profile.sharpness * (distance - profile.peak)
     if start <= -ERF_MAX and end >= ERF_MAX:
@@ -198,7 +199,7 @@ def depth_until(profile: DepthProfile, start: float, distance: float) -> float:
 
 @wp.func
 def start_of(atlas: Atlas, profile: DepthProfile) -> float:
-    """Returns the error function's argument at the start of the light; parallel light starts infinitely far away."""
+    """Returns the argument of the error function at the light; parallel light starts infinitely far away."""
     if atlas.layout == PARALLEL:
         return -ERF_MAX
     return -profile.sharpness * profile.peak
@@ -209,16 +210,13 @@ def start_of(atlas: Atlas, profile: DepthProfile) -> float:
 
 @wp.func
 def bin_below(atlas: Atlas, distance: float) -> float:
-    """Converts a distance from the light to a position in bins, whose centres are whole numbers.
-
-    The position is clamped to -1 and the last bin.
-    """
+    """Converts a distance from the light to a position in bins, whose centres are whole numbers; -1 to the last bin."""
     return wp.clamp(distance / atlas.bin_length - 0.5, -1.0, float(atlas.bins - 1))
 
 
 @wp.func
 def column_number(table: Table, texel: int) -> int:
-    """Returns the index of a texel's column in ``Table.columns``; -1: the tile is fully lit and has no columns."""
+    """Returns the index of a texel's column in ``Table.columns``; -1: its tile is fully lit, or ``texel`` is -1."""
     if texel < 0:
         return -1
     slot = table.slots[texel // TILE_TEXELS]
@@ -227,9 +225,9 @@ def column_number(table: Table, texel: int) -> int:
 
 @wp.func
 def add_depths(atlas: Atlas, table: Table, column: Column, profile: DepthProfile):
-    """Adds an occluder's optical depth to a column: to each bin, the depth between this bin and the previous one.
+    """Adds a Gaussian's optical depth along a ray to a texel's column: each bin gets the depth since the bin before.
 
-    Bins behind the occluder gain nothing and are skipped.
+    A prefix sum then gives the depth from the light. Bins behind the Gaussian gain nothing and are skipped.
     """
     begin = start_of(atlas, profile)
     width = ERF_MAX / profile.sharpness
@@ -247,10 +245,10 @@ def add_depths(atlas: Atlas, table: Table, column: Column, profile: DepthProfile
 
 @wp.func
 def loss_in(table: Table, column: int, number: int) -> float:
-    """Returns the fraction of light lost at the centre of bin ``number`` of a column.
+    """Returns 1 - transmittance at the centre of bin ``number`` of a texel's column.
 
-    The loss is 0 before the first stored bin and for ``column`` -1. Behind the last stored bin, it is that of the last
-    bin, because lost light does not come back.
+    It is 0 before the first stored bin and for ``column`` -1. Behind the last stored bin, it is that of the last bin,
+    because lost light does not come back.
     """
     if column < 0 or table.columns[column].count == 0 or number < table.columns[column].first:
         return 0.0
@@ -260,10 +258,9 @@ def loss_in(table: Table, column: int, number: int) -> float:
 
 @wp.func
 def loss_at(atlas: Atlas, table: Table, point: wp.vec3) -> float:
-    """Returns the fraction of light lost at a point: trilinear between the nearest texels and bins.
+    """Returns 1 - transmittance from the light to a world-space point, trilinear between texels and bins.
 
-    The loss is interpolated instead of the transmittance, so that an unblocked receiver gets exactly 0 despite
-    rounding.
+    It is interpolated instead of the transmittance, so that a point without shadow gets exactly 0 despite rounding.
     """
     position = atlas_from_world(atlas, point)
     at = bin_below(atlas, position.distance)
