@@ -308,7 +308,7 @@ class LightSphere:
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
-    """Radiance (luminance): candela per square metre."""
+    """Radiance (luminance) of the surface, candela per square metre, multiplied by ``color``."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -363,7 +363,7 @@ class LightRect:
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
-    """Radiance (luminance): candela per square metre."""
+    """Radiance (luminance) of the emitting side, candela per square metre, multiplied by ``color``."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -450,7 +450,7 @@ class LightDisk:
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
-    """Radiance (luminance): candela per square metre."""
+    """Radiance (luminance) of the emitting side, candela per square metre, multiplied by ``color``."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)

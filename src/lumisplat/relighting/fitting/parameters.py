@@ -262,7 +262,8 @@ class FitTask:
     size: float
     """Size of the scene, scene units: longest side of its box without stray Gaussians."""
     low: Doubles
-    """Lower corner, world space, of the box in which lights may move: the scene's bulk, extended to the given lights.
+    """Lower corner, world space, of the box in which lights may move: the scene's box without stray Gaussians,
+    enlarged to contain the lights at the start.
     """
     high: Doubles
 

@@ -110,7 +110,7 @@ class Solution:
     weights: Doubles
     """Weight of each squared residual: robust weight over squared expected noise, 0 if not fitted, shape (N, 3)."""
     deviation: Doubles
-    """Standard deviation of the residuals, in units of the expected noise, as a 0-dimensional array."""
+    """Robust standard deviation of all fitted residuals, in units of the expected noise, as a 0-dimensional array."""
 
 
 def unknown_counts(tints: Sequence[Doubles | None]) -> list[int]:

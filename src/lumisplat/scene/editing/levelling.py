@@ -37,12 +37,13 @@ _GROUND_LEAST = 0.06
 """Smallest fraction of the scene's visible weight (opacity times area) within `_THICKNESS` of a plane that is a
 ground."""
 _FLAT_LEAST = 0.6
-"""Smallest ratio of the weight within `_THICKNESS` of a ground plane to that within twice this distance: on a flat
-ground it is near 1, in a slice of a wall 0.5."""
+"""Smallest ratio of the visible weight within `_THICKNESS` of a ground plane to that within twice this distance: on a
+flat ground it is near 1, in a slice of a wall 0.5."""
 _BELOW_MOST = 0.12
 """Largest fraction of the scene's visible weight (opacity times area) below a ground plane."""
 _NEAR_STATED = math.cos(math.radians(50.0))
-"""Smallest cosine, of 50 degrees, between a ground's normal and the up direction that the scene or a capture states."""
+"""A ground's normal must be within 50 degrees of an up direction that the scene or a capture states: their cosine
+exceeds this."""
 _CELLS = (4, 24)
 """Smallest and largest number of cells along the longer side of a ground, in which free space above it is tested;
 `_CELL_POINTS` sets the number in between."""
@@ -84,7 +85,7 @@ class _Cloud:
     points: Doubles
     weights: Doubles
     size: float
-    """Diagonal of the box that holds the middle 90 % of the weight along each axis, scene units."""
+    """Diagonal of the box that holds the middle 90 % of the Gaussians' visible weight along each axis, scene units."""
 
 
 def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
@@ -171,9 +172,10 @@ def _weighted_quantiles(values: Doubles, weights: Doubles) -> tuple[float, float
 
 
 def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None:
-    """Returns the up direction of the best ground plane; None if no plane qualifies.
+    """Returns the up direction of the best ground plane; None if no plane qualifies as ground.
 
-    ``guess`` is `Scene.up_direction`: if ``stated``, normals must be near it, else it only weighs similar planes.
+    ``guess`` is `Scene.up_direction`: if ``stated``, normals must be near it, else it only decides between similar
+    planes.
     """
     thickness = _THICKNESS * cloud.size
     normals, offsets = _planes(cloud)
@@ -212,7 +214,7 @@ def _planes(cloud: _Cloud) -> tuple[Doubles, Doubles]:
 
 
 def _facing_the_rest(cloud: _Cloud, normals: Doubles, offsets: Doubles, thickness: float) -> tuple[Doubles, Doubles]:
-    """Flips M planes so that normals point to the side with more weight beyond ``thickness``; returns both arrays."""
+    """Flips M planes so that normals point to the side with more weight beyond ``thickness``; returns (M, 3), (M,)."""
     above = _share_beyond(cloud, normals, offsets + thickness)
     below = _share_beyond(cloud, -normals, -offsets + thickness)
     signs = np.where(above >= below, 1.0, -1.0)
@@ -220,7 +222,7 @@ def _facing_the_rest(cloud: _Cloud, normals: Doubles, offsets: Doubles, thicknes
 
 
 def _share_beyond(cloud: _Cloud, normals: Doubles, offsets: Doubles) -> Doubles:
-    """Returns the fraction of the weight at ``normal . x > offset`` of each of M planes, shape (M,)."""
+    """Returns the fraction of the points' weight at ``normal . x > offset`` of each of M planes, shape (M,)."""
     shares = np.empty(len(normals))
     for start in range(0, len(normals), 64):
         rows = slice(start, start + 64)
