@@ -74,7 +74,10 @@ def quaternions_from_matrices(matrices: _Floats) -> _Floats:
 
 
 def multiply_quaternions(left: _Floats, right: _Floats) -> _Floats:
-    """Returns the Hamilton products of one quaternion, (4,), with N others, (N, 4): ``right`` rotates first."""
+    """Returns the Hamilton products ``left right`` of one quaternion, (4,), with N others, (N, 4).
+
+    The product is the rotation by ``right``, then by ``left``.
+    """
     w, x, y, z = left
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return right @ matrix.T

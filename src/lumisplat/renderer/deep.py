@@ -42,7 +42,8 @@ _ENVIRONMENT_DEPTH = 1e30
 _TINY = float(np.finfo(np.float32).tiny)
 """Smallest normal float32, which replaces smaller divisors: transmittances, sums of radiance and sums of weights."""
 _BAND_RAYS = 2**14
-"""Number of rays that are traced at once: the pixels of a frame are processed in bands of so many rays."""
+"""Number of rays that are traced at once, which bounds memory: a frame's pixels are processed part by part (a part is
+called a band)."""
 
 
 def render_deep(

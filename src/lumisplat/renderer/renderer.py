@@ -270,7 +270,7 @@ class Renderer:
         return self._catchers
 
     def render_part(self, scene: Scene, camera: Camera, part: SamplePart, *, progress: Progress | None = None) -> Frame:
-        """Renders one block of a frame's samples, or develops a frame from the samples that ``part`` already holds.
+        """Renders consecutive samples of a frame, or develops a frame from the samples that ``part`` already holds.
 
         `lumisplat.farm.render_samples` and `lumisplat.farm.merge_samples` call this method.
         """

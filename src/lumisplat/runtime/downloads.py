@@ -60,7 +60,7 @@ class HostCopies:
 
 
 class DeviceCopies:
-    """Copies of arrays in one block of pooled device memory; words are downloaded when they are read.
+    """Copies of arrays in one block of device memory from the pool; each part is downloaded when it is read.
 
     Downloads run on a separate CUDA stream, so that any thread may read while another thread captures a graph.
     """

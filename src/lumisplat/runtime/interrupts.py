@@ -10,10 +10,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def deferred_interrupt() -> Generator[Callable[[], bool]]:
-    """Defers the first Ctrl C until the block ends; yields a function that returns whether it was pressed.
+    """Makes the first Ctrl C in a ``with`` block only set a flag; yields a function that returns the flag.
 
-    A second Ctrl C interrupts at once. Nothing changes in threads other than the main one, and in programs that have
-    set a handler for Ctrl C.
+    The caller must end the work when the flag is set. A second Ctrl C raises KeyboardInterrupt at once. Nothing changes
+    in threads other than the main one, and in programs that have set a handler for Ctrl C.
     """
     pressed = threading.Event()
 

@@ -1,9 +1,9 @@
 """Runs work on a device: device choice, kernel launches, CPU bands, CUDA graphs, stage timers.
 
 All kernels are launched here. A Warp launch on the CPU uses one thread but releases the GIL, so a launch is cut into
-bands (ranges of items) that run on the calling thread and a thread pool. CPU atomics are not atomic across threads, so
-a kernel run in bands writes each output element from one item only. Its first parameter is ``start``, the first item of
-the band, and it works on item ``start + tid``.
+bands (ranges of thread indices, called items) that run on the calling thread and a thread pool. CPU atomics are not
+atomic across threads, so a kernel run in bands writes each output element from one item only. Its first parameter is
+``start``, the first item of the band, and it works on item ``start + tid``.
 """
 
 from __future__ import annotations
@@ -231,12 +231,12 @@ class Launcher:
                 )
 
     def run_banded(self, kernel: Kernel, count: int, *inputs: object, bands: int | None = None) -> None:
-        """Runs ``count`` items of ``kernel(start, *inputs)``; on the CPU in bands (ranges of items) on all threads.
+        """Runs ``kernel(start, *inputs)`` for ``count`` thread indices; on the CPU, in ranges (bands) on all threads.
 
         Args:
-            kernel: Kernel that writes each output element from one item; its first parameter is the first item of the
-                band.
-            count: Number of items.
+            kernel: Kernel that writes each output element from one thread index; its first parameter is the first index
+                of the band.
+            count: Number of thread indices.
             *inputs: Other parameters of the kernel.
             bands: Number of bands; more bands balance uneven work better. None: one per thread.
         """
@@ -276,7 +276,7 @@ class Launcher:
             self._banded.add(module)
 
     def _run_band(self, launch: Any, kernel: Kernel, start: int, end: int, inputs: Sequence[object]) -> Any:
-        """Runs the items from ``start`` to ``end`` of a kernel on this thread, and returns the recorded launch.
+        """Runs the thread indices from ``start`` to ``end`` of a kernel on this thread; returns the recorded launch.
 
         If ``launch``, the recorded launch of the thread's previous band, is given, only its range is changed. Packing
         all parameters again would take longer than running many of the bands.
@@ -315,7 +315,7 @@ class Launcher:
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:
-        """Times a block of work under ``name``; on CUDA only when profiling, because timing waits for the device.
+        """Times the ``with`` block under ``name``; on CUDA only when profiling, because timing waits for the device.
 
         The time of a stage does not include the stages within it.
         """
@@ -335,7 +335,7 @@ class Launcher:
 
     @contextmanager
     def _timed(self, name: str) -> Generator[None]:
-        """Adds the time of a block of work, minus that of timed blocks within it, to the time of ``name``."""
+        """Adds the time of the ``with`` block, minus that of timed blocks within it, to the time of ``name``."""
         timed = not self.is_cuda or self.profile
         started, before = self.clock(), sum(self.stage_ms.values())
         try:

@@ -124,7 +124,10 @@ def _split_block(
     fields: tuple[tuple[str, type[object], int], ...],
     size: tuple[int, int],
 ) -> PixelBuffers[Pixels]:
-    """Divides one block into the arrays of ``fields``, sets them as fields of ``data``, and returns the buffers."""
+    """Allocates one memory block, sets views of it as the fields of ``data``, and returns the buffers.
+
+    ``fields`` gives each field's name, element type and 32-bit words per element; ``size`` is width and height.
+    """
     block, arrays = buffers.split(name, fields, size[0] * size[1])
     for field, array in arrays.items():
         setattr(data, field, array)

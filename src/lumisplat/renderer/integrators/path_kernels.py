@@ -1,4 +1,4 @@
-"""Path tracing, wave by wave: a wave is one ray each of all paths that are still alive. One thread per ray of a wave.
+"""Path tracing, bounce by bounce: a wave is one ray each of all paths that are still alive. One thread per ray.
 
 ``add_hit_radiance`` adds the emitted radiance at the rays' hits and the environment radiance behind. ``continue_paths``
 samples a light and the next direction. ``add_sampled_light`` runs after the shadow rays, and ``spawn_paths`` starts the

@@ -42,7 +42,7 @@ class DirectLight:
         self._shadows.begin_sample(sample)
 
     def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds the radiance that surfaces reflect from all lights to the rays that hit them, those of ``wave``."""
+        """Adds to the radiance of rays, ``wave``, the light that the surfaces they hit reflect from all lights."""
         # Shadow catchers darken by the blocked fraction of all light, so they need unshadowed lights, too.
         one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_catchers)
         if plan.has_unshadowed and not one_by_one:

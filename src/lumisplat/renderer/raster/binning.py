@@ -52,7 +52,7 @@ class TileLists:
     """For each tile, the splats or triangles that touch it, in depth order."""
 
     starts: DeviceArray
-    """Index in ``items`` of each tile's first entry; the last element is the total number of entries."""
+    """Index in ``items`` of the first entry of each tile; the last element is the total number of entries."""
     items: DeviceArray
     """Indices of the splats or triangles of each tile, tile after tile."""
 
@@ -96,7 +96,7 @@ class Binning(ABC):
 
     @abstractmethod
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
-        """Lists the sorted items of each tile.
+        """Returns, for each tile, the splats or triangles (items) that touch it, in depth order.
 
         Args:
             name: Name of the list: ``raster`` or ``mesh``.
@@ -108,7 +108,7 @@ class Binning(ABC):
 
 
 class BinningChunked(Binning):
-    """CPU schedule: counting sorts; each thread sorts one contiguous chunk of the items."""
+    """CPU schedule: counting sorts; each thread sorts one contiguous chunk of the splats or triangles."""
 
     def begin(self) -> None:
         """Starts a frame: resets ``counts``."""
@@ -160,7 +160,7 @@ class BinningChunked(Binning):
         return DepthOrder(order, count)
 
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
-        """Lists the sorted items of each tile by a counting sort."""
+        """Returns, for each tile, the splats or triangles that touch it, in depth order, by a counting sort."""
         run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
         count = depth_order.count
         counts = buffers.get("order.tiles", wp.int32, (chunks, tile_count))
@@ -228,9 +228,9 @@ class BinningParallel(Binning):
         return DepthOrder(order, count)
 
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
-        """Lists the sorted items of each tile: makes (tile, item) pairs in depth order, then sorts them by tile.
+        """Returns, for each tile, the splats or triangles that touch it, by sorting (tile, item) pairs by tile.
 
-        The sort by tile is stable.
+        The pairs are made in depth order, and the sort is stable.
         """
         run, buffers, count = self._launcher.run, self._buffers, depth_order.count
         capacity = self._capacity.setdefault(name, grown_capacity(2 * count))

@@ -25,7 +25,7 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 @wp.func
 def chunk_edge(chunk: int, chunks: int, count: int) -> int:
-    """Returns the index of the first item of chunk ``chunk``, if ``count`` items are divided into ``chunks``."""
+    """Returns where chunk ``chunk`` begins if ``count`` splats or triangles are divided into ``chunks`` chunks."""
     return int(wp.int64(count) * wp.int64(chunk) / wp.int64(chunks))
 
 
@@ -127,9 +127,9 @@ def count_tiles(
     ordered_rects_out: wp.array[TileRect],
     pairs_out: wp.array[wp.int64],
 ):
-    """Per chunk: counts how many of its items touch each tile, and the sum over tiles, which may exceed 32 bits.
+    """Per chunk of splats or triangles: counts how many touch each tile, and the sum over tiles in 64 bits.
 
-    Also writes the items' rectangles in depth order, for ``scatter_tiles``.
+    Also writes their rectangles in depth order, for ``scatter_tiles``.
     """
     chunk = start + wp.tid()
     pairs = wp.int64(0)
@@ -157,7 +157,7 @@ def scatter_tiles(
     positions: wp.array2d[int],
     items_out: wp.array[int],
 ):
-    """Per chunk: appends its items to the lists of the tiles that they touch, in depth order."""
+    """Per chunk of splats or triangles: appends each to the lists of the tiles that it touches, in depth order."""
     chunk = start + wp.tid()
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         item = order[i]
@@ -187,7 +187,7 @@ def count_sorted_keys(count: int, sorted_keys: wp.array[wp.uint32], totals_out: 
 
 @wp.kernel
 def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.array[wp.int64]):
-    """Sums the pair counts of all items in 64 bits; each thread sums every 4096th count.
+    """Adds up how many tiles all splats or triangles touch, in 64 bits; each thread sums every 4096th count.
 
     Not to be split over CPU threads, because the sum uses atomics.
     """
@@ -201,9 +201,9 @@ def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.arr
 
 @wp.kernel
 def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], counts_out: wp.array[int]):
-    """Per item: counts the tiles that it touches; items are taken in ``order`` unless it is empty.
+    """Per splat or triangle: counts the tiles that it touches; they are taken in ``order`` unless it is empty.
 
-    There is one count more than items, so that an exclusive scan of the counts ends with the total.
+    There is one count more, so that an exclusive scan of the counts ends with the total.
     """
     i = start + wp.tid()
     counts_out[i] = 0
@@ -216,7 +216,7 @@ def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], cou
 
 @wp.kernel
 def clear_pairs(start: int, tile_count: int, tiles_out: wp.array[int]):
-    """Per (tile, item) pair: marks it as unused, so that it sorts behind all tiles."""
+    """Per (tile, splat) pair: marks it as unused, so that it sorts behind all tiles."""
     tiles_out[start + wp.tid()] = tile_count
 
 
@@ -231,9 +231,9 @@ def emit_pairs(
     tiles_out: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Per item: writes its (tile, item) pairs. Pairs beyond ``capacity`` are dropped; the total tells how many.
+    """Per splat or triangle: writes its (tile, item) pairs; those beyond ``capacity`` are dropped.
 
-    If the offsets overflow, positions may be negative.
+    The total number of pairs tells how many were dropped. If the offsets overflow, positions may be negative.
     """
     i = start + wp.tid()
     item = order[i]

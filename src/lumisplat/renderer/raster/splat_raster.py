@@ -49,7 +49,7 @@ class SplatTiles:
     splats: DeviceArray
     """``Splat`` structs of all Gaussians of the scene."""
     starts: DeviceArray
-    """Index in ``items`` of each tile's first entry; the last element is the total number of entries."""
+    """Index in ``items`` of the first splat of each tile; the last element is the total number of entries."""
     items: DeviceArray
     """Indices in ``splats`` of the splats that each tile lists, tile after tile."""
 

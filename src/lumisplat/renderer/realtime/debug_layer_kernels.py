@@ -13,9 +13,9 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def larger_kind(pixel: int, splats: SurfacePixels, meshes: SurfacePixels) -> int:
-    """Returns the kind of the surface that covers more of a pixel: 0 Gaussians, 1 meshes, -1 no surface.
+    """Returns whether Gaussians (0) or a mesh (1) cover more of a pixel; -1: the pixel shows no surface.
 
-    The arrays of one kind may be empty.
+    The arrays of splat surfaces or of mesh surfaces may be empty.
     """
     kind = int(-1)
     share = float(0.0)

@@ -240,11 +240,11 @@ class RadianceCache:
         return ranks
 
     def _spare_lists(self) -> tuple[DeviceArray, DeviceArray]:
-        """Returns the spare arrays into which the next lists of tile keys and slots are written."""
+        """Returns the spare arrays into which the next lists of tiles' keys and storage slots are written."""
         return self._get("other_keys", wp.int64, self._config.tiles), self._per_tile("other_slots")
 
     def _replace_lists(self, keys: DeviceArray, slots: DeviceArray) -> None:
-        """Copies the new lists of tile keys and slots over the current ones."""
+        """Copies new lists of tiles' keys and storage slots over the current ones."""
         copy_elements(keys, device_array(self.tiles.keys), self._config.tiles)
         copy_elements(slots, device_array(self.tiles.slots), self._config.tiles)
 

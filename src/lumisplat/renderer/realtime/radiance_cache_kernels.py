@@ -128,7 +128,10 @@ def add_samples(
 
 @wp.func
 def average_mips(means: wp.array[wp.vec4], slot: int):
-    """Writes the mip levels of a tile's means: each element is the sample-weighted mean of 2 x 2 finer elements."""
+    """Writes the mip levels of a tile's mean radiance: each element is the weighted mean of 2 x 2 finer elements.
+
+    Elements are weighted by their numbers of samples.
+    """
     for mip in range(1, TILE_MIPS):
         side = 8 >> mip
         for square in range(side * side):
@@ -469,7 +472,7 @@ def compact_tiles(
     keys_out: wp.array[wp.int64],
     slots_out: wp.array[int],
 ):
-    """Moves the tiles marked in ``stays`` to the front, in order, and frees the slots of all other tiles."""
+    """Moves the tiles marked in ``stays`` to the front, in order, and frees the storage slots of all other tiles."""
     rank = start + wp.tid()
     target = ends[ends.shape[0] - 1] + rank - ends[rank]
     key = NO_TILE

@@ -1,4 +1,4 @@
-"""BVHs of the scene's Gaussians: one for each asset, and top levels over the splat instances."""
+"""BVHs of the scene's Gaussians: one for each asset (Gaussian set), and top-level BVHs over the splat instances."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class BvhScene:
     def sync(
         self, scene: Scene, assets: list[SplatAsset], config: RenderConfig, *, is_lit: bool, has_subsets: bool
     ) -> None:
-        """Builds or refits BVHs whose Gaussians changed, and rebuilds the top levels if an instance has moved.
+        """Builds or refits BVHs whose Gaussians changed, and rebuilds the top-level BVHs if an instance has moved.
 
         Args:
             scene: The scene with the instances.
@@ -181,7 +181,7 @@ class BvhScene:
         self._build_top_levels(scene, asset_indices, members)
 
     def _build_top_levels(self, scene: Scene, asset_indices: list[int], members: dict[SplatSets, list[bool]]) -> None:
-        """Builds the top-level tree of each subset over its instances.
+        """Builds, for each subset of the splat sets, the top-level BVH over its instances.
 
         Args:
             scene: The scene with the instances.
@@ -295,7 +295,7 @@ def empty_node() -> np.ndarray:
 
 
 def _split(items: np.ndarray, centers: np.ndarray) -> list[np.ndarray]:
-    """Halves the largest group of items at the median of their centres until `NODE_WIDTH` groups exist.
+    """Halves the largest group of ``items`` at the median of their centres until `NODE_WIDTH` groups exist.
 
     Each half is cut along the axis in which the centres spread most; groups of one item stay whole.
     """

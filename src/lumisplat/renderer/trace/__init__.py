@@ -1,1 +1,1 @@
-"""Finds the hits of rays: primary hits, traced hits on Gaussians and meshes, and the waves of reflected rays."""
+"""Finds the hits of rays: camera rays' hits, traced hits on Gaussians and meshes, and reflected and refracted rays."""

@@ -1,4 +1,4 @@
-"""Waves (all rays after a given number of reflections and refractions), and images of the first wave's light."""
+"""Waves (all rays after a given number of reflections and refractions), and images of the camera rays' light."""
 
 from __future__ import annotations
 

@@ -28,8 +28,8 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.ops.neighbours import morton_codes
 
 TREE_SURFACE_LEVELS = 10
-"""Number of levels of a BVH that are split by the surface area heuristic. Deeper levels are split in the middle, which
-bounds the depth for any input."""
+"""Number of levels of a BVH, from the root, that are split by the surface area heuristic. Deeper levels are split in
+the middle, which bounds the depth for any input."""
 
 SPLIT_BANDS = 64  # nodes of a level differ in cost
 _BUILDS = itertools.count()
@@ -49,7 +49,8 @@ class Level:
     ends: DeviceArray
     """Index after the last item (Gaussian, triangle or instance) of each node of the BVHs."""
     edges: DeviceArray
-    """First item of each child of each node of the level, and the end of the last child; output of the split."""
+    """For each node that is split, the first item of each of its children, and the end of the last one; output of the
+    split."""
     inner: DeviceArray
     """For each node that is split, the number of its children that are inner nodes; output of the split."""
 

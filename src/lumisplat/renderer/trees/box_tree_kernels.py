@@ -49,7 +49,10 @@ def half_area(low: wp.vec3, high: wp.vec3) -> float:
 
 @wp.func
 def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, axis: int, middle2: float) -> int:
-    """Moves items with doubled centres below ``middle2`` along ``axis`` to the front; returns the index after them."""
+    """Moves boxes, and their ``items``, with doubled centre below ``middle2`` along ``axis`` to the front.
+
+    Returns the index after them.
+    """
     low = int(begin)
     high = int(end)
     while low < high:
@@ -68,7 +71,7 @@ def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end:
 
 @wp.func
 def split_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int) -> int:
-    """Splits items in two at the lowest cost of the surface area heuristic (Wald 2007), and returns the split index.
+    """Splits a range of boxes in two at the lowest surface area cost (Wald 2007), and returns the split index.
 
     If all centres coincide, the split is in the middle. The code is not divided into functions, because its three loops
     share the bins, which calls would copy.
