@@ -88,7 +88,7 @@ class FrameData:
     light: FloatArray | None = None
     """Signed linear radiance to add to the captured part, (H, W, 3): positive where lights brighten captures, negative
     in shadows on captures, and all radiance of other objects such as meshes. Where ``light`` is exactly 0, images show
-    the captured part unchanged."""
+    the captured part unchanged. None: unlit frame."""
     albedo: FloatArray | None = None
     """Linear albedo of the surfaces, (H, W, 3); None: ``RenderConfig.aovs`` does not request it."""
     emission: FloatArray | None = None
@@ -104,42 +104,46 @@ class FrameData:
     shadow_ratio: FloatArray | None = None
     """Shadow-catcher ratio, linear, (H, W, 3): the captured part with inserted objects, divided by the captured part
     without inserted objects. Below 1 in shadows of the objects, above 1 where the objects bounce light onto a catcher,
-    and 1 elsewhere."""
+    and 1 elsewhere. None: ``RenderConfig.aovs`` does not request it."""
     light_direct: FloatArray | None = None
     """Linear radiance reflected from each of L lights without occlusion, (L, H, W, 3). On shadow catchers, the portion
     of the captured colour that comes from the light. In frames that are not path-traced, ``color`` is the sum of
-    ``light_direct * light_shadow`` over lights, plus ``emission`` and ``reflection``."""
+    ``light_direct * light_shadow`` over lights, plus ``emission`` and ``reflection``. None: ``RenderConfig.aovs`` does
+    not request ``lights``."""
     light_shadow: FloatArray | None = None
     """Fraction of ``light_direct`` that arrives despite shadows, for each of L lights, 0..1, (L, H, W, 3); None:
     ``RenderConfig.aovs`` does not request ``lights``."""
     light_total: FloatArray | None = None
     """Linear radiance that each of L lights contributes to a path-traced frame, (L + 1, H, W, 3): seen directly, in
     mirrors and after bounces. The last entry is emission of surfaces, which no light causes. The sum over the first
-    axis equals the sum of ``bounces``."""
+    axis equals the sum of ``bounces``. None: not path-traced, or ``RenderConfig.aovs`` does not request ``lights``."""
     light_names: tuple[str, ...] = ()
     """Name of each light, in the order of ``light_direct``."""
     direct_diffuse: FloatArray | None = None
-    """Direct light scattered diffusely by the first surface, in a path-traced frame: linear radiance, (H, W, 3). The
+    """Direct light scattered diffusely by the first surface: linear radiance, (H, W, 3). In a path-traced frame, the
     sum of ``direct_diffuse``, ``direct_glossy``, ``indirect_diffuse``, ``indirect_glossy`` and ``emission`` is
-    ``color``."""
+    ``color``. None: ``RenderConfig.aovs`` does not request it."""
     direct_glossy: FloatArray | None = None
-    """Direct light that the first surface of a path-traced frame refracts, or reflects as highlight or mirror image:
-    linear radiance, (H, W, 3)."""
+    """Direct light that the first surface refracts, or reflects as highlight or mirror image: linear radiance, (H, W,
+    3). None: ``RenderConfig.aovs`` does not request it."""
     indirect_diffuse: FloatArray | None = None
-    """Indirect light scattered diffusely by the first surface of a path-traced frame: linear radiance, (H, W, 3)."""
+    """Indirect light scattered diffusely by the first surface: linear radiance, (H, W, 3). None: ``RenderConfig.aovs``
+    does not request it."""
     indirect_glossy: FloatArray | None = None
-    """Indirect light that the first surface of a path-traced frame refracts, or reflects as highlight or mirror image:
-    linear radiance, (H, W, 3)."""
+    """Indirect light that the first surface refracts, or reflects as highlight or mirror image: linear radiance, (H,
+    W, 3). None: ``RenderConfig.aovs`` does not request it."""
     bounces: FloatArray | None = None
     """Linear radiance of a path-traced frame by number of scattering events, (max_bounces + 2, H, W, 3). The sum over
-    the first axis is ``light``, except for changes of light on shadow catchers."""
+    the first axis is ``light``, except for changes of light on shadow catchers. None: ``RenderConfig.aovs`` does not
+    request it."""
     motion: FloatArray | None = None
     """Motion since the previous frame, in a real-time frame, of the surface that covers most of each pixel, (H, W, 3):
     image displacement x (to the right) and y (down) in pixels, and change of the distance from the camera in scene
-    units. All three are 0 where ``motion_known`` is 0."""
+    units. All three are 0 where ``motion_known`` is 0. None: ``RenderConfig.aovs`` does not request it."""
     motion_known: IntArray | None = None
     """1 where the pixel's surface was in front of the camera in the previous frame of a real-time sequence, too; 0
-    where the surface is new, or there is no surface, (H, W)."""
+    where the surface is new, or there is no surface, (H, W). None: ``RenderConfig.aovs`` does not request ``motion``.
+    """
     history: FloatArray | None = None
     """Number of frames averaged into the direct light of each pixel's surface, in a real-time frame, (H, W); 0 without
     a surface. None: ``RenderConfig.aovs`` does not request it."""
@@ -151,7 +155,7 @@ class FrameData:
     ``RenderConfig.aovs`` does not request it."""
     cache_cells: IntArray | None = None
     """Identifier of the radiance-cache cell at each pixel's surface, in a real-time frame, 0..2^24 - 1, (H, W); -1: no
-    cell. Two cells rarely have equal identifiers."""
+    cell. Two cells rarely have equal identifiers. None: ``RenderConfig.aovs`` does not request it."""
     draws_meshes: bool = False
     """True if rays hit translucent meshes at random, with probability alpha; ``albedo`` and ``normal`` are then noisy.
     """

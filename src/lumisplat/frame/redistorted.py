@@ -146,7 +146,7 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
 
 
 def _magnifications(camera: Camera) -> Doubles:
-    """Returns the lens's magnifications at N points as multiples of that at the image centre, shape (N, 2).
+    """Returns how much the lens magnifies at N points of the image, relative to the image centre, shape (N, 2).
 
     The two magnifications of a point are the singular values of the distortion's Jacobian.
     """

@@ -33,7 +33,7 @@ without a sky covers half of all directions, from below, and would leave meshes 
 
 _log = logging.getLogger("lumisplat")
 
-_FINER = 4
+_SUBTEXELS = 4
 """Number of directions along each side of a texel of the environment map; the texel's value is their mean."""
 
 
@@ -106,8 +106,8 @@ def captured_light(scene: Scene, box: Doubles, render: Callable[[Scene, Camera],
         return None
     filled = radiance + (1.0 - alpha)[:, None] * (weights @ radiance / covered)
     rows = CAPTURED_LIGHT_ROWS
-    along = panorama_directions(_FINER * rows, 2 * _FINER * rows).reshape(-1, 3)
-    fine = filled[face_pixels(along, PROBE_FACE_PX)].reshape(rows, _FINER, 2 * rows, _FINER, 3)
+    along = panorama_directions(_SUBTEXELS * rows, 2 * _SUBTEXELS * rows).reshape(-1, 3)
+    fine = filled[face_pixels(along, PROBE_FACE_PX)].reshape(rows, _SUBTEXELS, 2 * rows, _SUBTEXELS, 3)
     image = fine.mean(axis=(1, 3)).astype(np.float32)
     return CapturedLight(image, visible=False, casts_shadow=False, name="capture")
 

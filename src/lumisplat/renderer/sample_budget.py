@@ -12,8 +12,8 @@ NOISE_CHECKS = 8
 """Number of noise estimates while the number of samples doubles. A frame takes at most an eighth more samples than its
 noise level needs."""
 
-ALMOST = 0.999
-"""Progress that is reported at most before all samples are finished, of 1."""
+UNFINISHED_FRACTION_MAX = 0.999
+"""Largest fraction of the work that counts as done while the noise exceeds its target."""
 
 
 class SampleBudget:
@@ -79,7 +79,7 @@ class SampleBudget:
         if config.noise is not None and self.noise is not None:
             # The error falls with the square root of the number of samples.
             is_low = self.noise <= config.noise
-            fractions += [1.0 if is_low else min((config.noise / self.noise) ** 2, ALMOST)]
+            fractions += [1.0 if is_low else min((config.noise / self.noise) ** 2, UNFINISHED_FRACTION_MAX)]
         if config.time_limit is not None and added > 0:
             seconds = time.monotonic() - self._started
             would_be_late = seconds * (added + 1) / added > config.time_limit

@@ -207,7 +207,7 @@ def add_catcher_light(
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],
 ):
-    """Adds the part of a catcher's captured colour that one light causes to the images of that light."""
+    """Per ray: adds to one light's images the part of a shadow catcher's captured colour that this light causes."""
     i = start + wp.tid()
     direct_inout[i] += wp.cw_mul(arrivals.reflectance[i], catcher_light[i])
     arrived_inout[i] += wp.cw_mul(arrivals.reflectance[i], catcher_light[catcher_light.shape[0] // 2 + i])

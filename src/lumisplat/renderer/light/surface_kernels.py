@@ -114,9 +114,9 @@ def store_no_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 
 @wp.func
 def shade_unlit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes the display-referred colour of an unlit ray.
+    """Writes the display-referred colour of unlit ray ``i``.
 
-    Surfaces emit their base or captured colour, and branches that are not traced show the background.
+    Surfaces emit their base or captured colour; reflected and refracted rays that are not traced show the background.
     """
     background = scene[0].settings[0].background
     transmittance = wave[0].gaussians.transmittance[i]
@@ -203,9 +203,9 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
 
 @wp.func
 def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes the radiance of a lit ray before direct light, and its interactions.
+    """Writes the radiance of lit ray ``i`` without direct light, and its interactions.
 
-    The radiance is the sum of captured colours, emission, and the radiance of branches that are not traced.
+    The radiance is the sum of captured colours, emission, and that of reflected and refracted rays that are not traced.
     """
     over_light = is_over_light(i, scene, wave)
     surface = splat_surface(i, over_light, scene, wave)

@@ -37,7 +37,7 @@ RECEIVED_FIELDS = frozenset(
         "open",
     }
 )
-"""Fields of ray radiance that hold the irradiance on shadow catchers, which paths estimate."""
+"""Fields of `RayRadiance` that hold the light on shadow catchers, which path tracing estimates."""
 
 
 class Surfaces:

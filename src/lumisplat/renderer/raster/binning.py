@@ -84,7 +84,7 @@ class Binning(ABC):
 
     @abstractmethod
     def finish(self) -> bool:
-        """Ends a frame; False if a list was truncated. The list is then enlarged, and the frame must be drawn again."""
+        """Ends a frame; False if a tile list was too short. The list is then enlarged; draw the frame again."""
 
     @abstractmethod
     def sort(self, keys: DeviceArray) -> DepthOrder:
@@ -195,7 +195,7 @@ class BinningParallel(Binning):
         self._totals.zero_()
 
     def finish(self) -> bool:
-        """Waits for the frame; False if a list was truncated. It is then enlarged, and the frame must be drawn again.
+        """Waits for the frame; False if a tile list was too short. The list is then enlarged; draw the frame again.
 
         Raises:
             DeviceError: A list is longer than 32-bit indices reach.

@@ -27,9 +27,9 @@ wp.set_module_options({"enable_backward": False})
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_PIXEL_PX = 2.0
-"""Largest distance between a point and the plane of a previous pixel's surface, and vice versa, at which the pixel's
-history is reused; in pixel widths at that distance. The limit keeps contact shadows from taking the history of the
-object that stands on the surface."""
+"""Largest distance, in pixel widths, between a point and the tangent plane of the surface at a previous pixel, and
+vice versa, at which the point continues that pixel's history. The limit keeps contact shadows from taking the history
+of the object that stands on the surface."""
 
 CHANGE_SIGMAS = 3.0
 """Number of standard deviations by which the samples around a pixel must differ from their means to count as a change

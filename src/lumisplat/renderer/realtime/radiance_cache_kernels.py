@@ -82,7 +82,7 @@ def gather_keys(start: int, keys: wp.array[wp.int64], order: wp.array[int], keys
 
 @wp.func
 def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.vec4:
-    """Adds ``count`` samples with sum ``total`` to a mean that counts for ``weight`` samples; returns the new mean."""
+    """Returns a mean that counts for ``weight`` samples after adding ``count`` samples whose sum is ``total``."""
     before = wp.float64(weight)
     all = before + wp.float64(count)
     color = (wp.vec3d(color_of(mean)) * before + total) / all
@@ -346,7 +346,7 @@ def list_points(
 
 @wp.kernel
 def copy_means(start: int, points: CachePoints, tiles: CacheTiles, means_out: wp.array[wp.vec4]):
-    """Per ray: copies the mean of the ray's cell as it was before this frame's bounces."""
+    """Per ray: copies the mean indirect radiance of the cell where it starts, as it was before this frame's bounces."""
     i = start + wp.tid()
     if points.is_active[i]:
         means_out[i] = tiles.indirect[points.slot[i] * TILE_MEANS + points.cell[i]]

@@ -253,7 +253,7 @@ LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
 def rank_probes(
     start: int, grids: wp.array[ProbeGrid], probes: ProbeData, keys_out: wp.array[int], order_out: wp.array[int]
 ):
-    """Per probe: writes a sort key that puts first the probes that most need new rays."""
+    """Per probe: writes a sort key that puts new probes first, then those whose rays were traced longest ago."""
     i = start + wp.tid()
     keys_out[i] = refresh_key(i, grids[0], probes)
     order_out[i] = i

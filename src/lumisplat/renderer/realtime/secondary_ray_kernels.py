@@ -162,7 +162,7 @@ def shade_hits(
 def apply_visibility(
     start: int, bounced: BouncedRays, rays: RayData, visibility: wp.array[wp.vec3], samples_inout: CacheSamples
 ):
-    """Per ray: writes the light sample that the surface at its hit reflects, times the shadow ray's visibility."""
+    """Per secondary ray: writes the reflected light sample at its hit, times the visibility of the shadow ray."""
     i = start + wp.tid()
     radiance = bounced.sampled[i]
     if rays.is_active[i]:
@@ -179,7 +179,7 @@ def add_reflected(
     radiance_out: wp.array[wp.vec3],
     distance_out: wp.array[float],
 ):
-    """Per ray: adds the radiance that the surface at its hit reflects, and writes the hit distance; inf: no hit."""
+    """Per secondary ray: writes its radiance, emitted plus reflected at the hit, and the hit distance; inf: no hit."""
     i = start + wp.tid()
     radiance_out[i] = bounced.emitted[i]
     distance_out[i] = wp.inf

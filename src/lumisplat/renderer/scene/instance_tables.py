@@ -83,7 +83,7 @@ def splat_instance_table(
 def hit_distance_of(instance: SplatInstance, config: RenderConfig, *, is_lit: bool) -> int:
     """Returns at which point rays hit the Gaussians of an instance: HIT_PEAK, HIT_HULL or HIT_MEAN.
 
-    If the settings do not choose, captures are ordered by their means, as in training, and relit sets by peak response.
+    If the settings do not choose: HIT_MEAN, the order of training, and in lit frames HIT_PEAK for relit sets.
     """
     if config.trace.hit_distance is not None:
         return _HIT_DISTANCES[config.trace.hit_distance]

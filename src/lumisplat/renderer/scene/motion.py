@@ -44,7 +44,7 @@ MOVED_FRAMES = 16
 CHANGED_STRENGTH = 2.0
 """Ratio of a light's strengths in two consecutive frames above which the change counts as sudden, like a new light."""
 
-SMALL = 16
+COMPARED_BY_VALUE_MAX = 16
 """Largest number of elements with which two arrays are compared by value; larger ones are compared by identity."""
 
 Instance = TypeVar("Instance", SplatInstance, MeshInstance)
@@ -221,7 +221,7 @@ class LightState:
     disappeared."""
     strengths: list[npt.NDArray[np.float64]]
     """Colour times intensity of each light, by channel, shape (3,) each."""
-    rest: Sequence[object]
+    other_values: Sequence[object]
     """Everything else that determines lighting: fields of lights except strength, transforms of emissive objects,
     materials."""
     objects: Sequence[object]
@@ -254,7 +254,7 @@ class LightChanges:
         now = light_state(scene, has_headlight, captures)
         before, self._before = self._before or now, now
         is_other = has_changed_suddenly(before, now)
-        has_changed = is_other or before.rest != now.rest
+        has_changed = is_other or before.other_values != now.other_values
         self._changed_ago = 0 if has_changed else self._changed_ago + 1
         self._moved_ago = 0 if before.objects != now.objects else self._moved_ago + 1
         if is_other:
@@ -276,8 +276,8 @@ def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> L
     transforms = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
     transforms += [(id(instance.gaussians), instance.transform.tobytes()) for instance in emitters]
     materials = [id(instance.material) for instance in scene.splats]
-    rest = [lights, transforms, materials, [id(instance.mesh.material) for instance in scene.meshes]]
-    return LightState(sources, strengths, rest, asset_transforms(scene))
+    other_values = [lights, transforms, materials, [id(instance.mesh.material) for instance in scene.meshes]]
+    return LightState(sources, strengths, other_values, asset_transforms(scene))
 
 
 def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
@@ -322,4 +322,4 @@ def comparable(value: object) -> object:
     if not isinstance(value, np.ndarray):
         return value
     numbers = cast(npt.NDArray[Any], value)
-    return id(numbers) if numbers.size > SMALL else numbers.tobytes()
+    return id(numbers) if numbers.size > COMPARED_BY_VALUE_MAX else numbers.tobytes()

@@ -166,7 +166,7 @@ def shadow_kernel_of(launcher: Launcher, config: RenderConfig, *, stack: int = T
 
 
 def draws_of(config: RenderConfig) -> int:
-    """Returns which random numbers shadows use, as a constant: DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
+    """Returns which random numbers shadows use: DRAWS_NONE (none), DRAWS_PER_RAY, or DRAWS_SHARED by all rays."""
     if config.shadow_rays.method is not ShadowMethod.STOCHASTIC:
         return DRAWS_NONE
     return DRAWS_SHARED if config.shadow_rays.shared_draws else DRAWS_PER_RAY

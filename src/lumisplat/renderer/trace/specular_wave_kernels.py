@@ -139,7 +139,10 @@ def gather_branches(
     far: wp.array[WaveData],
     near_inout: wp.array[WaveData],
 ):
-    """Adds the radiance of each ray's branches to the ray: display-referred colours if unlit, else linear radiance."""
+    """Per ray: adds the radiance of its reflected, refracted and lobe rays, of wave ``far``, to its own.
+
+    Display-referred colours are added if unlit, else linear radiance.
+    """
     i = start + wp.tid()
     stride = near_inout[0].path_weights.shape[0]
     is_lit = scene[0].settings[0].is_lit != 0
