@@ -57,7 +57,7 @@ class SplatRecord:
     """Statistics of each Gaussian since the last densification step."""
 
     motion: wp.array[float]
-    """Sum over frames of the length of d loss / d image position, AbsGS style, in units of half the image size."""
+    """Sum over frames of |d loss / d image position| as in AbsGS, with the position in units of half the image size."""
     turns: wp.array[float]
     """Sum over frames of the length of the surface losses' gradient with respect to rotating the Gaussian's normal.
 

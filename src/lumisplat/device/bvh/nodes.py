@@ -207,7 +207,7 @@ def footprint_variance(footprint: float, path: float, largest_scale: float) -> f
 
 @wp.func
 def footprint_slopes(footprint: float, path: float, largest_scale: float) -> wp.vec2:
-    """Returns the derivatives of ``footprint_variance`` with respect to ``path`` and ``largest_scale``, world space."""
+    """Returns the derivatives of ``footprint_variance`` with respect to ``path`` and to ``largest_scale``."""
     nearer = LEAD * (path - REACH * largest_scale)
     width = footprint * larger(lesser(path, nearer), 0.0)
     if path <= nearer:

@@ -288,7 +288,7 @@ def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: Waiting
 
 @wp.func
 def set_floors(stack: wp.array[WaitingNode], base: int, top: int):
-    """Sets, for stack entries ``base`` to ``top - 1``, the smallest entry distance of the entry and all below it."""
+    """Sets ``floor`` of stack entries ``base`` to ``top - 1``: the smallest ``entry`` of the entry and all below it."""
     below = float(FAR)
     if base > 0:
         below = stack[base - 1].floor

@@ -83,7 +83,7 @@ def full_pixel_of_ray(camera: CameraData, ray: int) -> wp.vec2i:
 
 @wp.func
 def full_image_index(camera: CameraData, x: int, y: int) -> int:
-    """Returns the row-major index of a pixel in the full frame, which seeds its random numbers."""
+    """Returns ``y * full width + x`` of a pixel of the full frame, from which its random numbers derive."""
     return y * camera.full_width + x
 
 
@@ -157,7 +157,7 @@ def is_listed(rect: TileRect) -> bool:
 
 @wp.func
 def rect_area(rect: TileRect) -> int:
-    """Returns the number of tiles in a rectangle."""
+    """Returns the number of tiles in a half-open rectangle of tiles."""
     return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
 
 

@@ -213,7 +213,7 @@ def add_to_sums(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
 
 @wp.func
 def store_sample(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
-    """Writes a sample to the images of its pixel."""
+    """Writes one sample of a pixel, or the mean of its samples, to the pixel's images."""
     film[0].pixels.color[pixel] = sample.color
     film[0].pixels.alpha[pixel] = sample.alpha
     if film[0].lit.light:

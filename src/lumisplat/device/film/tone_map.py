@@ -121,8 +121,8 @@ def tone_mapped(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
 def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, settings: ToneMapData) -> wp.vec3:
     """Returns the display-referred colour of a pixel that shows captured colour, linear light, or both.
 
-    Only the part that light adds is tone mapped; captured colour alone is returned unchanged. On the host,
-    ``lit_picture`` computes the same.
+    Light is tone mapped; captured colour without light keeps its look, scaled by the gain. On the host, ``lit_picture``
+    computes the same.
     """
     if settings.gain == 1.0 and weight >= WHOLE and is_black(light):
         return captured

@@ -65,10 +65,11 @@ NEAREST2 = wp.constant(wp.float32(1.0e-30))
 
 @wp.func
 def log_alpha_gradient(alpha: float, before: float, shown: float, behind: float) -> float:
-    """Returns d loss / d log(alpha) of a hit: ``alpha (before * shown - behind) / (1 - alpha)``, or 0 if clamped.
+    """Returns d loss / d log(alpha) of a hit: ``alpha (before * shown - behind) / (1 - alpha)``.
 
-    ``before`` is the transmittance in front of the hit, and ``shown`` its colour times the pixel's colour gradient.
-    ``behind`` is the sum of the loss terms of this hit and all that is behind it, as in ``RayGradient.behind``.
+    It is 0 if alpha is clamped at its largest value. ``before`` is the transmittance in front of the hit, and ``shown``
+    its colour times the pixel's colour gradient. ``behind`` is the sum of the loss terms of this hit and all that is
+    behind it, as in ``RayGradient.behind``.
     """
     return wp.where(alpha < ALPHA_LIMIT, alpha * (before * shown - behind) / (1.0 - alpha), 0.0)
 

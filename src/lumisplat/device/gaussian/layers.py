@@ -16,23 +16,24 @@ The thin axis of a flat Gaussian is the normal of its layer, a surface such as a
 """
 
 LAYER_COSINE = 0.35
-"""Cosine of 70 degrees: layers whose normals differ by more need only the height ``LAYER_HEIGHT`` to be told apart."""
+"""If the cosine between two layers' normals is at most this (70 degrees), the height ``LAYER_HEIGHT`` separates them.
+
+More parallel layers need a larger height, see ``LAYER_RISE``."""
 
 LAYER_HEIGHT = 0.0625
-"""Height of a Gaussian's mean above a surface from which on it is of another layer, as a fraction of the shadow
-offset.
+"""A Gaussian is of another layer only if its mean is higher above the surface than this fraction of the shadow offset.
 
 By default, the shadow offset is four scales, and the height a quarter of a scale. It is also the smallest distance of
 the ray's origin from the plane of this Gaussian, unless the ray hits the Gaussian from the front."""
 
 LAYER_RISE = 1.0
-"""The height ``LAYER_HEIGHT`` grows by this for each unit of the cosine beyond ``LAYER_COSINE``.
+"""Added to ``LAYER_HEIGHT`` for each unit by which the cosine between two layers' normals exceeds ``LAYER_COSINE``.
 
 It is a fraction of the shadow offset; for parallel layers, the height becomes 2.85 scales.
 """
 
 LAYER_LIFT = 0.0625
-"""Rays leave a surface of Gaussians from this height above it, as a fraction of the shadow offset.
+"""Height above a surface of Gaussians at which rays that leave it start, as a fraction of the shadow offset.
 
 It is a quarter of a scale by default. From inside a layer, rays along the layer would leave it below and see the light
 of its other side (docs/adr/0088)."""

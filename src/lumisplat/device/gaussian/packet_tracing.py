@@ -40,7 +40,7 @@ from lumisplat.device.structs.scene import KernelData, SplatInstanceData
 
 HIT_NONE: int = wp.constant(0)
 HIT_FAR: int = wp.constant(1)
-"""Kind of hit: the response peaks beyond the distance at which every Gaussian may be hit."""
+"""Kind of hit that always counts: the response peaks beyond the shadow offset or the ray's ``t_min``."""
 
 HIT_NEAR: int = wp.constant(2)
 """Kind of hit: so close to the ray's origin that it counts only if the Gaussian is of another surface layer."""

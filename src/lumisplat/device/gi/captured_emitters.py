@@ -28,7 +28,10 @@ TINY = wp.constant(wp.float32(1e-30))
 
 @wp.func
 def box_weight(box: EmitterBox, point: wp.vec3) -> float:
-    """Estimates the irradiance at ``point`` by the Gaussians in ``box``, up to a unit: power over squared distance."""
+    """Estimates the irradiance at ``point`` by the Gaussians in ``box``, up to a constant factor.
+
+    It is the box's power over the squared distance, which counts as at least the squared half diagonal.
+    """
     away = box.center - point
     return box.power / wp.max(wp.max(wp.dot(away, away), wp.dot(box.half, box.half)), TINY)
 

@@ -147,9 +147,9 @@ CUT_OFF_STEPS = wp.constant(4)
 """
 
 OCCLUDER_DISTANCE_MAX = wp.constant(wp.float32(0.95))
-"""A surface between pixel and probe in the image is an occluder if it is nearer to the eye than this fraction.
+"""A surface between pixel and probe in the image is an occluder only if it is nearer to the eye than both.
 
-It is a fraction of the distance from the eye of pixel or probe, whichever is nearer."""
+Its distance must be below this fraction of the smaller of their distances."""
 
 DISTANCE_RATIO_MIN = wp.constant(wp.float32(0.85))
 """Two points share a probe only if the nearer one's distance from the eye is at least this fraction of the other's.

@@ -129,9 +129,9 @@ class CacheGrid:
     cell_size: float
     """Largest width of a cell as a fraction of its distance from the eye."""
     history: float
-    """Number of frames over which a cell's direct light is averaged; later frames replace a share of the mean."""
+    """Number of frames after which the mean of a cell's direct light becomes a moving average."""
     bounce_history: float
-    """Number of rays over which a cell's indirect light is averaged; later rays replace a share of the mean."""
+    """Number of rays after which the mean of a cell's indirect light becomes a moving average."""
     samples_min: float
     """A mean of fewer samples counts as noisy, so that lookups use a mean over a larger square instead."""
     tiles: int

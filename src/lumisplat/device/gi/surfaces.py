@@ -57,9 +57,9 @@ class SurfacePixels:
     extent: wp.array[float]
     """Position uncertainty of the surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
     albedo: wp.array[wp.vec3]
-    """Diffuse albedo, linear: fraction of light, constant over all directions, that is reflected to the viewer."""
+    """Diffuse albedo, linear: fraction of uniform illumination that is reflected to the viewer."""
     glossy_albedo: wp.array[wp.vec3]
-    """Albedo of highlight and layers, linear: fraction of light, constant over all directions, reflected to the
+    """Albedo of highlight and layers, linear: fraction of uniform illumination reflected to the
     viewer."""
     alpha: wp.array[float]
     """GGX alpha of the highlight, roughness squared; 0: a mirror."""
@@ -377,12 +377,12 @@ def is_same_surface(
 # --- Albedo: reflected fraction of a constant environment (docs/method/realtime.md#surfaces) ---
 
 MEAN_COSINE = wp.constant(wp.float32(2.0 / 3.0))
-"""Mean cosine of light from a constant environment, weighted by the cosine."""
+"""Mean cosine to the normal of uniform illumination, weighted by the cosine."""
 
 
 @wp.func
 def left_by_layers(bsdf: Bsdf, cosine: float) -> float:
-    """Returns the fraction of light, constant over all directions, that clearcoat and sheen let through to the base.
+    """Returns the fraction of uniform illumination that clearcoat and sheen let through to the base.
 
     It is evaluated for light at its mean cosine, and a view at ``cosine``.
     """
@@ -393,7 +393,7 @@ def left_by_layers(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def diffuse_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the fraction of light, constant over all directions, that diffuses to a view at ``cosine``."""
+    """Returns the fraction of uniform illumination that is reflected diffusely to a view at ``cosine``."""
     if bsdf.model == BSDF_SIMPLE:
         return wp.cw_mul(simple_scale(bsdf), bsdf.diffuse)
     if bsdf.dielectric <= 0.0:
@@ -424,7 +424,7 @@ def glossy_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def transmitted_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the fraction of light, constant behind rough glass, that passes it to a view at ``cosine``."""
+    """Returns the fraction of uniform illumination behind rough glass that passes it to a view at ``cosine``."""
     if bsdf.model == BSDF_SIMPLE or not transmits(bsdf):
         return wp.vec3(0.0)
     return left_by_layers(bsdf, cosine) * (1.0 - mirrored_share(bsdf, cosine)) * bsdf.transmitted
@@ -440,7 +440,7 @@ def highlight_width(bsdf: Bsdf) -> float:
 
 @wp.func
 def matte_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the fraction of light, constant over all directions, that reaches a view at ``cosine``, at most 1.
+    """Returns the fraction of uniform illumination that reaches a view at ``cosine``, at most 1.
 
     It includes transmission through rough glass, but not the mirror reflection of smooth surfaces.
     """

@@ -136,7 +136,10 @@ def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData
 
 @wp.func
 def lobe_ray(i: int, wave: wp.array[WaveData]) -> LobeRay:
-    """Selects an interaction of ray ``i`` and samples a ray within its highlight."""
+    """Selects one of the two surfaces of ray ``i``, Gaussians or mesh, and samples a ray within its highlight.
+
+    Its ``slot`` is -1 if none is selected. Its weight is the factor of its radiance in that of ray ``i``.
+    """
     splats = interaction_of(i, wave)
     mesh = interaction_of(wave[0].interactions.exists.shape[0] // 2 + i, wave)
     slot = lobe_slot(i, splats, mesh, wave)

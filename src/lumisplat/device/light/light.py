@@ -13,7 +13,7 @@ from lumisplat.device.math.directions import PI, TWO_PI, around
 from lumisplat.device.structs.shading import LightCrossing, LightData, LightSample
 
 LIGHT_POINT: int = wp.constant(0)
-"""Point light; with a radius, a sphere."""
+"""Type of a light that is a point or, with a radius, a sphere."""
 LIGHT_SPOT: int = wp.constant(1)
 LIGHT_DIRECTIONAL: int = wp.constant(2)
 LIGHT_RECT: int = wp.constant(3)

@@ -185,7 +185,7 @@ class Absorption:
 
 @struct
 class FirstHits:
-    """Nearest hits of the shadow rays of a packet, one lane for each ray; local arrays of the kernel."""
+    """Lists of the nearest hits of a packet's shadow rays, one lane for each ray; arrays are local to the kernel."""
 
     lists: wp.array[HitList]
     hits: wp.array[Hit]

@@ -49,7 +49,7 @@ def sees_environment(i: int, wave: wp.array[WaveData]) -> bool:
 def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
     """Returns whether linear light, not the display-referred background, lies behind the Gaussians of ray ``i``.
 
-    A mesh and the environment count as linear light, and so does black.
+    Linear light is that of a mesh or the environment, or black where the ray sees no background.
     """
     if wave[0].meshes.face[i] >= 0:
         return True

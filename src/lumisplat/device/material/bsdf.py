@@ -115,7 +115,7 @@ def sheen_share(curve: wp.vec4, cosine: float) -> float:
 def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
     """Returns the fraction of light that the clearcoat passes to sheen and base: 1 - its albedo.
 
-    The albedo is the larger one of view and light direction, given by their cosines.
+    The larger of its albedos for the view and for the light counts, each given by its cosine.
     """
     if bsdf.coat <= 0.0:
         return 1.0
@@ -127,7 +127,7 @@ def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
 def left_by_sheen(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
     """Returns the fraction of light that the sheen passes to the base below: 1 - its albedo.
 
-    The albedo is the larger one of view and light direction, given by their cosines.
+    The larger of its albedos for the view and for the light counts, each given by its cosine.
     """
     if is_black(bsdf.sheen):
         return 1.0
@@ -292,7 +292,7 @@ def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def mean_mirrored_share(dielectric: float, eta: float, alpha: float, fresnel_mean: float) -> float:
-    """Returns the fraction of light, constant over the hemisphere, that a dielectric reflects specularly.
+    """Returns the fraction of uniform hemispherical illumination that a dielectric reflects specularly.
 
     It is the mean of ``mirrored_share``. ``fresnel_mean`` is the mean of Fresnel's reflectance for a smooth surface.
     """

@@ -73,9 +73,9 @@ def dielectric_share(strength: float, cosine: float, eta: float) -> float:
 
 @wp.func
 def mean_fresnel(eta: float) -> float:
-    """Returns the fraction of constant hemispherical light that a smooth dielectric reflects on its thinner side.
+    """Returns the fraction of uniform hemispherical illumination that a smooth dielectric reflects.
 
-    The thinner side has the lower index of refraction. The error is at most 7e-6.
+    The light arrives on the side of the lower index of refraction. The error is at most 7e-6.
     """
     ratio = wp.min(eta, 1.0 / eta)
     total = float(0.0)
@@ -87,7 +87,7 @@ def mean_fresnel(eta: float) -> float:
 
 @wp.func
 def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> float:
-    """Returns the fraction of light, constant over the hemisphere, that a smooth dielectric reflects.
+    """Returns the fraction of uniform hemispherical illumination that a smooth dielectric reflects.
 
     ``strength`` scales the reflection. ``fresnel_mean`` is the fraction on the side of the lower index at strength 1.
     If ``eta`` is above 1, the light comes from the other side, from which total reflection lets at most 1 / eta^2

@@ -76,7 +76,7 @@ TWO_OVER_PI = wp.constant(wp.float32(2.0 / math.pi))
 
 @wp.func
 def signed_as(size: float, sign: float) -> float:
-    """Returns ``size`` with the sign of ``sign``."""
+    """Returns the magnitude ``size`` with the sign of ``sign``."""
     return wp.where(sign < 0.0, -size, size)
 
 

@@ -208,7 +208,7 @@ SHEEN_MIN = wp.constant(wp.float32(SHEEN_ROUGHNESS_MIN))
 
 @struct
 class Layers:
-    """Transmission, clearcoat and sheen at a surface point."""
+    """Transmission, clearcoat and sheen parameters of a material at a surface point, textures included."""
 
     transmission: float
     coat: float

@@ -95,8 +95,8 @@ class PathImages:
     light: wp.array[wp.vec3]
     """Sum of all linear radiance that paths contribute to each camera ray."""
     parts: wp.array[wp.vec3]
-    """Radiance split into direct or indirect, diffuse or glossy, and emission: row k is PART k, with one element per
-    ray.
+    """Radiance split into direct or indirect, diffuse or glossy, and emission: a row for each PART, an element for
+    each ray.
     """
     bounces: wp.array[wp.vec3]
     """Radiance split by the number of bounces of the path, mirror reflections included: one row for each number from

@@ -108,16 +108,16 @@ class Branch:
 BRANCH_NONE: int = wp.constant(-1)
 
 BRANCH_SPLATS: int = wp.constant(0)
-"""The surface of the Gaussians scatters the path."""
+"""The path is scattered at the surface of the Gaussians in front of the mesh."""
 
 BRANCH_MESH: int = wp.constant(1)
-"""The mesh scatters the path."""
+"""The path is scattered at the mesh behind the Gaussians."""
 
 BRANCH_REFLECTED: int = wp.constant(2)
-"""A smooth mesh reflects the path."""
+"""The path is reflected by a smooth mesh, as by a mirror."""
 
 BRANCH_REFRACTED: int = wp.constant(3)
-"""A smooth mesh refracts the path."""
+"""The path passes a smooth mesh, refracted as by glass."""
 
 ROULETTE_FIRST = wp.constant(ROULETTE_BOUNCE)
 

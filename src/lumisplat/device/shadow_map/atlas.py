@@ -223,7 +223,7 @@ def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
 
 @wp.func
 def texel_coordinates(atlas: Atlas, texel: int) -> wp.vec3i:
-    """Returns face, x and y of a texel by its index."""
+    """Returns the face, column x and row y of the texel with index ``texel``."""
     tiles = atlas.size // TILE
     tile = texel // TILE_TEXELS
     within = texel % TILE_TEXELS

@@ -210,7 +210,10 @@ def start_of(atlas: Atlas, profile: DepthProfile) -> float:
 
 @wp.func
 def bin_below(atlas: Atlas, distance: float) -> float:
-    """Converts a distance from the light to a position in bins, whose centres are whole numbers; -1 to the last bin."""
+    """Converts a distance from the light to a position in bins, whose centres are whole numbers.
+
+    It is clamped to -1 and the last bin.
+    """
     return wp.clamp(distance / atlas.bin_length - 0.5, -1.0, float(atlas.bins - 1))
 
 

@@ -149,8 +149,8 @@ class TileVisitor(NamedTuple):
     """``(arrays, view, tile, splat, sums)``: stores a splat's ``sums`` after it was visited at all pixels of the tile.
     """
     pass_by: Any
-    """``(arrays, view, tile, index)``: called for the tile's remaining splats once nearer surfaces hide them
-    everywhere."""
+    """``(arrays, view, tile, index)``: called for each remaining splat once all of them are hidden in the whole tile.
+    """
     end_pixel: Any
     """``(pixels, i, view, tile, x, y, settings, arrays)``: stores the result of pixel i after the tile's last splat."""
     is_sorted: bool = True

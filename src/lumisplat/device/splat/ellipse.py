@@ -145,8 +145,8 @@ class EllipsePixel:
     limit_z: float
     """View depth of the nearest mesh at the pixel, from which splats are hidden; inf: no mesh."""
     limit: float
-    """View depth of the nearest mesh at the pixel; inf: no mesh. It equals ``limit_z``, which splats along rays do not
-    use."""
+    """View depth of the nearest mesh at the pixel, from which splats are hidden; inf: no mesh. It equals ``limit_z``.
+    """
 
 
 @wp.func

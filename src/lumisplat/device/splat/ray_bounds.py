@@ -76,7 +76,7 @@ UNSCENTED_MARGIN = 0.1
 It covers the curvature of projections for Gaussians up to ``UNSCENTED_SINE_MAX`` in size."""
 
 UNSCENTED_SLACK_PX = 0.5
-"""Pixels by which bounds are enlarged besides, for lenses whose magnification nearly vanishes at their edge."""
+"""Pixels by which all bounds are enlarged in addition, for lenses whose magnification nearly vanishes at their edge."""
 
 OUTLINE_POINTS = 16
 """Number of points around the outline of a Gaussian that is too large for sigma points."""
@@ -230,8 +230,7 @@ def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
 def is_around(eye: wp.vec3, away: wp.vec3, reach: float) -> bool:
     """Returns whether direction ``away`` from the eye lies within or close to the cone around a Gaussian's outline.
 
-    ``eye`` and ``away`` are in the Gaussian's canonical space, where the outline is seen on a sphere of radius
-    ``reach``.
+    ``eye`` and ``away`` are in the Gaussian's canonical space, where it is a sphere of radius ``reach`` at the origin.
     """
     across = wp.length(wp.cross(eye, away))
     along = -wp.dot(eye, away)

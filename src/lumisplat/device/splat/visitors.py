@@ -303,7 +303,7 @@ class SampleArrays:
 def begin_sample(
     pixels: wp.ref[SampleTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: SampleArrays
 ):
-    """Starts pixel ``i`` with the mesh as the nearest surface, and sets its random key."""
+    """Starts pixel ``i`` with the mesh, at depth ``limit``, as the nearest surface, and sets its random key."""
     set_at(pixels.nearest, i, limit)
     set_word_at(pixels.keys, i, sample_key_of(full_image_index(view, x, y), arrays.sample.index, arrays.sample.seed))
 

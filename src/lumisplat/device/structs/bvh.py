@@ -14,8 +14,8 @@ NO_CHILD: int = wp.constant(2**31 - 1)
 """Value of ``Node.link`` for an unused child of a BVH node that has fewer than NODE_WIDTH children."""
 
 FAR: float = wp.constant(wp.float32(1.0e30))
-"""1e30, a finite stand-in for infinity: the end of unbounded rays and, negated, of empty boxes. Distances above it do
-not occur."""
+"""1e30, a finite stand-in for infinity: the end of unbounded rays. Empty boxes have low corners at FAR, high ones at
+-FAR."""
 
 WORLD = wp.constant(-1)
 """Instance index, -1, of the top-level BVH over all splat instances; its boxes and rays are in world space."""
@@ -145,8 +145,8 @@ DRAWS_PER_RAY: int = wp.constant(1)
 number."""
 
 DRAWS_SHARED: int = wp.constant(2)
-"""Stochastic shadows: one random number for each Gaussian, shared by all rays of a sample. Below alpha, it blocks
-rays."""
+"""Stochastic shadows: one random number for each Gaussian, shared by all rays of a sample; below alpha, it is opaque.
+"""
 
 
 @struct
@@ -164,7 +164,7 @@ class ShadowData:
     hit_distance: int
     """Distance by which ``ShadowMethod.FIRST_HITS`` finds the nearest Gaussians: HIT_PEAK or HIT_HULL."""
     transmittance_min: float
-    """A shadow ray ends, and its light is blocked, once its transmittance falls to this value."""
+    """Without stochastic shadows: a shadow ray ends as blocked once its transmittance falls to this value."""
     threshold: float
     """Artistic threshold T: a shadow is black at transmittances up to T, and ``(transmittance - T) / (1 - T)`` above.
     """
@@ -177,7 +177,7 @@ class ShadowData:
     """Distance in scene units that is added to ``offset`` times a Gaussian's largest scale."""
     seed: wp.uint32
     sample: int
-    """Index of the pixel sample; together with ``seed`` it selects the random numbers that all shadow rays share."""
+    """Index of the pixel sample, by which DRAWS_SHARED selects the random numbers that all shadow rays share."""
 
 
 STRATEGY_SORTED: int = wp.constant(0)
@@ -249,7 +249,7 @@ class Slabs:
 
 @struct
 class PacketRays:
-    """The rays of a packet, one lane for each ray; local arrays of a kernel."""
+    """The rays of a packet, one lane for each ray; the arrays are local to the kernel."""
 
     origin: wp.array(dtype=float, ndim=2)
     """Ray origins in the space of the tree that is being traversed; rows x, y and z, one column for each ray of the
@@ -335,7 +335,7 @@ class Hit:
     """Distance along the ray by which hits are sorted from front to back; HIT_PEAK, HIT_HULL and HIT_MEAN define it."""
     alpha: float
     index: int
-    """Index of the Gaussian among all Gaussians of the scene."""
+    """Index of the hit Gaussian, counted over all splat instances of the scene."""
 
 
 @struct

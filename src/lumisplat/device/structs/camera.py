@@ -110,7 +110,7 @@ class PixelData:
     alpha: wp.array[float]
     """1 - transmittance of the Gaussians; 1 if a mesh, the environment or a visible light lies behind them."""
     depth: wp.array[float]
-    """Distance along the pixel's ray to the iso-opacity surface, scene units; inf: no surface."""
+    """Distance along the pixel's ray to the iso-opacity surface or, if it is not reached, to the mesh; inf: neither."""
     normal: wp.array[wp.vec3]
     """Surface normal, world space, unit, towards the viewer; zero for an empty pixel."""
     gaussian: wp.array[int]

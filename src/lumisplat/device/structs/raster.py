@@ -46,7 +46,7 @@ class Splat:
     color: wp.vec3
     """Colour, display-referred sRGB, not negative."""
     depth: float
-    """View depth of the mean."""
+    """View depth of the Gaussian's mean, by which splats are sorted."""
     normal: wp.vec3
     """Normal, world space, unit, towards the viewer."""
     index: int
@@ -78,13 +78,13 @@ class MeshPixels:
     """Nearest mesh surface of each pixel. Lit frames only need, and write, its depth."""
 
     depth_z: wp.array[float]
-    """View depth; inf: no mesh."""
+    """View depth of the nearest mesh at each pixel; inf: no mesh."""
     color: wp.array[wp.vec3]
-    """Colour, display-referred sRGB."""
+    """Colour of the nearest mesh at each pixel, display-referred sRGB."""
     normal: wp.array[wp.vec3]
-    """Normal, world space, unit, towards the viewer."""
+    """Unit normal of the nearest mesh at each pixel, world space, towards the viewer."""
     instance: wp.array[int]
-    """Index of the mesh instance among all instances of the scene."""
+    """Index of the nearest mesh's instance, numbered after all splat instances."""
 
 
 @struct
@@ -104,7 +104,7 @@ class BlendState:
     first: int
     """Index, over all splat instances, of the frontmost blended Gaussian; -1: none was blended yet."""
     hits: int
-    """Number of Gaussians blended."""
+    """Number of Gaussians that the pixel has blended so far."""
 
 
 @struct

@@ -30,7 +30,7 @@ class RayData:
     direction: wp.array[wp.vec3]
     t_min: wp.array[float]
     t_max: wp.array[float]
-    """Distance at which the ray ends; inf: unbounded. Shadow rays end at their light."""
+    """Distance along the ray at which it ends, for a shadow ray that of its light; inf: it does not end."""
     path_length: wp.array[float]
     spread: wp.array[float]
     normal: wp.array[wp.vec3]
@@ -76,7 +76,7 @@ class GaussianHits:
 
     The index counts over all splat instances of the scene."""
     hits: wp.array[int]
-    """Number of Gaussians blended."""
+    """Number of Gaussians that were blended on the ray."""
     relit_color: wp.array[wp.vec3]
     """Part of ``color`` that splat sets with a material lit by the scene (relit sets) contribute.
 
@@ -112,7 +112,7 @@ class HitProfiles:
     transmittance: wp.array[float]
     """Transmittance of the ray behind the hit Gaussian, including the Gaussian itself."""
     gaussian: wp.array[int]
-    """Index of the Gaussian among all Gaussians of the scene."""
+    """Index of the hit Gaussian, counted over all splat instances of the scene."""
 
 
 RELIT_FIELDS = ("relit_color", "relit_weight", "relit_gaussian")

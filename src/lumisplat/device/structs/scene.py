@@ -95,7 +95,7 @@ class TextureData:
     """Width in texels; 0: there is no texture."""
     height: int
     wrap_u: int
-    """WRAP_REPEAT, WRAP_MIRROR or WRAP_CLAMP."""
+    """How texture coordinates outside 0..1 wrap along u: WRAP_REPEAT, WRAP_MIRROR or WRAP_CLAMP."""
     wrap_v: int
 
 
@@ -147,7 +147,7 @@ class AlphaData:
     """Alpha of a mesh's material."""
 
     mode: int
-    """ALPHA_OPAQUE, ALPHA_MASK or ALPHA_BLEND."""
+    """How alpha is used, as in glTF: ALPHA_OPAQUE, ALPHA_MASK or ALPHA_BLEND."""
     factor: float
     """Constant factor by which the alpha of the texture is multiplied."""
     cutoff: float
@@ -167,7 +167,8 @@ class SmoothData:
     """Specular reflection and transmission of a mesh's material, and the medium inside the mesh."""
 
     smooth: int
-    """0: the material neither reflects nor transmits specularly, and the surface shows its base colour."""
+    """1: the material reflects or transmits like a mirror or glass. 0: it does not, and the surface shows its base
+    colour."""
     metallic: float
     specular: float
     ior: float
@@ -180,7 +181,7 @@ class SmoothData:
     """Where several media overlap, rays travel in the one of highest priority; of equal ones, in the last one entered.
     """
     absorption: wp.vec3
-    """Absorption coefficient of the medium inside, linear, per scene unit."""
+    """Absorption coefficient of the medium inside the mesh, per channel, linear, per scene unit."""
     coat: float
     """Strength of the clearcoat layer, 0..1."""
     coat_alpha: float
@@ -196,16 +197,16 @@ class MeshInstanceData:
     """One instance of a mesh: the data that rasteriser, ray tracer and shading need."""
 
     camera_from_object: wp.mat33
-    """Linear part of the transform from object to camera space."""
+    """Linear part (3 x 3) of the transform from object to camera space."""
     camera_from_object_offset: wp.vec3
     world_from_object: wp.mat33
-    """Linear part of the transform from object to world space."""
+    """Linear part (3 x 3) of the transform from object to world space."""
     world_from_object_normal: wp.mat33
     """Inverse transpose of ``world_from_object``, up to scale; transforms normals."""
     object_from_world: wp.mat33
     """Inverse of ``world_from_object``."""
     position: wp.vec3
-    """Object origin in world space."""
+    """Position of the object's origin in world space."""
     low: wp.vec3
     """Lower corner of the instance's bounding box, world space, enlarged against rounding."""
     high: wp.vec3

@@ -50,7 +50,7 @@ class EnvironmentData:
     """The environment map and its CDF tables for importance sampling by brightness."""
 
     exists: int
-    """0: there is no environment."""
+    """1: the scene has an environment map; 0: the other fields are undefined."""
     visible: int
     """1: camera rays see the environment."""
     world_from_environment: wp.mat33
@@ -110,9 +110,9 @@ class LightSample:
     """A sampled direction from a surface towards a light, and the light arriving from there."""
 
     direction: wp.vec3
-    """Unit direction away from the surface."""
+    """Unit direction from the surface towards the light, world space."""
     distance: float
-    """Distance to the light; inf: infinitely far."""
+    """Distance from the surface to the sampled point of the light; inf: the light is infinitely far away."""
     irradiance: wp.vec3
     """Unshadowed irradiance from the sampled direction on a surface that faces it.
 
@@ -144,7 +144,7 @@ class Bsdf:
     eta: float
     """BSDF_PBR: index of refraction on the viewer's side over the index behind the surface."""
     mean_mirrored: float
-    """BSDF_PBR: fraction of light, constant over the hemisphere, that the dielectric reflects specularly."""
+    """BSDF_PBR: fraction of uniform hemispherical illumination that the dielectric reflects specularly."""
     transmitted: wp.vec3
     """BSDF_PBR, rough surface: fraction, per channel, of the light entering the surface that passes through it.
 
@@ -215,7 +215,7 @@ class MaterialData:
     """BSDF_PBR: factor of the Fresnel reflection of the dielectric."""
     ior: float
     fresnel_mean: float
-    """Fraction of light, constant over the hemisphere, that a smooth dielectric with the material's ``ior`` reflects.
+    """Fraction of uniform hemispherical illumination that a smooth dielectric with the material's ``ior`` reflects.
     """
     transmission: float
     thin_walled: int
@@ -250,7 +250,8 @@ class ShadingSettings:
     """Settings of shading, in a 1-element array."""
 
     is_lit: int
-    """0: no lights; splats and meshes show their captured or base colours, display-referred."""
+    """1: the scene's lights are computed. 0: splats and meshes show their captured or base colours, display-referred.
+    """
     background: wp.vec3
     """Display-referred sRGB colour behind the scene; black if the frame has a transparent background."""
     camera_sees: int
@@ -275,7 +276,7 @@ class ShadingSettings:
 
 @struct
 class ShadingScene:
-    """Scene data that shading reads."""
+    """All scene data that shading reads: instances, materials, lights, environment and emissive triangles."""
 
     settings: wp.array[ShadingSettings]
     sample: wp.array[SampleData]
@@ -345,14 +346,13 @@ class Interaction:
     """Height of the smooth surface that the vertex normals describe above the flat triangle, scene units; 0 for
     Gaussians.
 
-    The height is measured along ``horizon_normal``; shadow rays may start that high, to soften the shadow terminator.
+    It is measured along ``horizon_normal``. Shadow rays may start that high, which hides the triangles in shadow edges.
     """
     wo: wp.vec3
     """Unit direction from the surface back along the ray, world space."""
     bsdf: Bsdf
     weight: float
-    """Factor of the light that the surface reflects in the ray's radiance: the transmittance before it times its
-    coverage."""
+    """Fraction of the ray that the surface stands for: the factor of its reflected light in the ray's radiance."""
     occlusion: float
     """Fraction of the environment's light that reaches the surface, by the material's ambient occlusion texture; else
     1."""
@@ -420,7 +420,7 @@ class Contribution:
     """Radiance that an unshadowed light adds to a ray at a surface, with direction and length of the shadow ray."""
 
     direction: wp.vec3
-    """Direction from the surface, unit."""
+    """Unit direction of the shadow ray, from the surface towards the light."""
     distance: float
     color: wp.vec3
     """Linear radiance that the light adds to the ray if nothing blocks it; zero: no shadow ray is needed."""
