@@ -157,7 +157,8 @@ class FrameData:
     """Identifier of the radiance-cache cell at each pixel's surface, in a real-time frame, 0..2^24 - 1, (H, W); -1: no
     cell. Two cells rarely have equal identifiers. None: ``RenderConfig.aovs`` does not request it."""
     draws_meshes: bool = False
-    """True if rays hit translucent meshes at random, with probability alpha; ``albedo`` and ``normal`` are then noisy.
+    """True if rays end at translucent meshes at random, with probability alpha; ``albedo`` and ``normal`` are then
+    noisy.
     """
     is_denoised: bool = False
     """True if ``light`` is denoised; then the frame cannot be resumed to add samples."""

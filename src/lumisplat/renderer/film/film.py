@@ -41,7 +41,7 @@ CATCHER_LAYERS = {
     "captured_ambient": "ambient",
     "captured_open": "open",
 }
-"""For each component of the light on shadow catchers: the name of the film's image, and of the RayRadiance field whose
+"""Components of the light on shadow catchers: name of the film's image, and of the field of `RayRadiance` whose
 samples the image averages."""
 
 

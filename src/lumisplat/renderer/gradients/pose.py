@@ -19,7 +19,7 @@ from lumisplat.scene.scene import SplatInstance
 
 @dataclass(frozen=True, slots=True)
 class PoseSums:
-    """What one splat instance adds to the gradient with respect to the camera pose; float64."""
+    """Contribution of one splat instance to the gradient with respect to the camera pose; float64."""
 
     camera_from_object: Doubles
     """Gradient with respect to the linear part of the camera-from-object matrix, shape (3, 3)."""

@@ -211,10 +211,11 @@ class FramePlan:
 
     @property
     def draws_alpha(self) -> bool:
-        """True if rays hit a translucent mesh at random, with probability alpha: in path tracing, and without bounces.
+        """True if a translucent mesh is hit at random, with probability alpha: in paths, and with direct light only.
 
-        False: rays composite the mesh with weight alpha and continue behind it. Meshes that enclose a medium (glass)
-        are always hit, so that a ray that enters them also leaves them.
+        Frames with direct light only (``Pipeline.RASTER``) trace no rays behind the mesh that a pixel shows. False:
+        Whitted rays add the mesh with weight alpha and continue behind it. Meshes that enclose a medium (glass) are
+        always hit, so that a ray that enters them also leaves them.
         """
         return self.traces_paths or self.integrator is Integrator.DIRECT
 

@@ -11,7 +11,7 @@ from lumisplat.runtime.buffers import DeviceArray
 
 @dataclass(frozen=True, slots=True)
 class CarriedState:
-    """What the rays of a wave inherit from the rays that they were reflected or refracted from."""
+    """State that rays inherit from the rays that they were reflected or refracted from."""
 
     weights: DeviceArray | None = None
     """Weight with which each ray's radiance is added to the ray that it branched off; None: camera rays."""
