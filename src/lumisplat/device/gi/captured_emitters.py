@@ -12,7 +12,7 @@ from lumisplat.device.structs import struct
 
 @struct
 class EmitterBox:
-    """World-space oriented box around bright Gaussians of a capture, which is sampled as a light."""
+    """World-space oriented box around Gaussians that show captured colours; boxes are sampled as lights."""
 
     center: wp.vec3
     box_from_world: wp.mat33

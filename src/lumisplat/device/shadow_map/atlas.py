@@ -77,7 +77,7 @@ def parallel_direction(atlas: Atlas) -> wp.vec3:
 
 @wp.func
 def sign_of(value: float) -> float:
-    """Returns 1 or -1; 1 for zero."""
+    """Returns -1 for a negative value, else 1, also for 0."""
     return wp.where(value < 0.0, -1.0, 1.0)
 
 

@@ -81,7 +81,7 @@ class EllipseRow:
 
 @struct
 class EllipseAt:
-    """A splat evaluated at a pixel."""
+    """Alpha of a splat at one pixel, with the terms that its gradients need."""
 
     alpha: float
     """Alpha of the splat at the pixel; 0 if it is below 1/255 or a mesh hides the splat."""

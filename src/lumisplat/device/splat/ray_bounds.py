@@ -30,7 +30,7 @@ class ImageMoments:
     """Mean and covariance of a Gaussian's projection to the image, with the error of the estimate."""
 
     mean: wp.vec2
-    """Mean, pixels."""
+    """Mean of the projected Gaussian in the image, pixels."""
     xx: float
     """Variance of the projected Gaussian along x, pixel^2."""
     xy: float

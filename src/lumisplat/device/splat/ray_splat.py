@@ -187,7 +187,7 @@ class RayRow:
 
 @struct
 class RayAt:
-    """A Gaussian evaluated along one ray."""
+    """Alpha of a Gaussian along one ray, with the terms that its gradients need."""
 
     alpha: float
     """Largest alpha of the Gaussian along the ray; 0 if below 1/255, outside the pixel box or beyond the ray's end."""
@@ -196,7 +196,7 @@ class RayAt:
     across: wp.vec3
     """``cross(eye, along)`` in canonical space; its length over that of ``along`` is the distance of mean and ray."""
     length2: float
-    """Squared length of ``along``."""
+    """Squared length of ``along``, the ray's direction in the Gaussian's canonical space."""
     log_alpha: float
     """Natural logarithm of the largest alpha along the ray, before it is limited to 0.99 and cut off below 1/255."""
 

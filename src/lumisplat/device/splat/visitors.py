@@ -287,7 +287,7 @@ class SampleTile:
     winner: TileInts
     """Index of each pixel's chosen splat plus one; 0: no splat is chosen."""
     keys: TileWords
-    """Key of each pixel's random numbers."""
+    """Random key of each pixel, from which each splat draws its own number."""
 
 
 @struct

@@ -28,13 +28,13 @@ class Particle:
     canonical_from_object: wp.mat33
     """Inverse of rotation times scale: maps object space to the space where the Gaussian is a unit sphere."""
     mean: wp.vec3
-    """Mean in object space."""
+    """Mean of the Gaussian, object space."""
     log_opacity: float
     reach2: float
     """Squared distance from the mean, in standard deviations, up to which rays hit the Gaussian; negative: rays never
     hit it."""
     index: int
-    """Index of the Gaussian in its asset."""
+    """Index of the Gaussian in its asset, whose order differs from that of the BVH."""
     largest_scale: float
     """Largest of the three standard deviations, object space."""
 
@@ -205,7 +205,7 @@ class TraceData:
     depth_iso_transmittance: float
     acceptance_scale: float
     sh_degree: int
-    """Highest SH degree that is evaluated."""
+    """Highest SH degree, 0 to 3, at which the colours of hit Gaussians are evaluated."""
     offset: float
     """Rays that start at a surface may hit a Gaussian from ``offset`` times its largest scale on, even before
     ``t_min``.

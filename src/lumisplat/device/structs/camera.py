@@ -17,7 +17,7 @@ class CameraData:
     eye: wp.vec3
     """Centre of projection, world space; with a rolling shutter, its position at the start of the first row."""
     model: int
-    """PINHOLE, FISHEYE or ORTHOGRAPHIC of ``lumisplat.device.camera.camera``."""
+    """Projection model: PINHOLE, FISHEYE or ORTHOGRAPHIC of ``lumisplat.device.camera.camera``."""
     focal: wp.vec2
     """Focal lengths: pixels; for a fisheye, pixels per radian; for an orthographic camera, pixels per scene unit."""
     center: wp.vec2

@@ -66,7 +66,7 @@ class GaussianGradient:
     scales: wp.array[wp.vec3]
     opacities: wp.array[float]
     sh: wp.array[wp.vec3]
-    """SH gradients, ``sh_count`` consecutive elements for each Gaussian."""
+    """d loss / d SH coefficients, ``sh_count`` consecutive elements for each Gaussian."""
     sh_count: int
 
 
@@ -85,7 +85,7 @@ class RayGradient:
     """Gradients of the loss with respect to the output of rays, one element for each ray."""
 
     color: wp.array[wp.vec3]
-    """Gradient with respect to the ray's colour."""
+    """d loss / d blended colour of each ray."""
     behind: wp.array[float]
     """``dot(d loss / d color, color) + (d loss / d transmittance) * transmittance`` of each ray.
 

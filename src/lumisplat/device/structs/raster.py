@@ -15,11 +15,11 @@ class RasterData:
     dilation: float
     """Variance that low-pass filtering adds to projected 2D covariances, pixel^2."""
     sh_degree: int
-    """Highest SH degree that is evaluated."""
+    """Highest SH degree, 0 to 3, at which the colours of splats are evaluated."""
     transmittance_min: float
     depth_iso_transmittance: float
     background: wp.vec3
-    """Background colour, display-referred sRGB."""
+    """Colour behind the scene, display-referred sRGB."""
 
 
 @struct
@@ -35,7 +35,7 @@ class Splat:
     """
 
     center: wp.vec2
-    """Centre in the image, pixels."""
+    """Projected mean of the Gaussian, pixels."""
     along: float
     shear: float
     across: float
@@ -44,11 +44,11 @@ class Splat:
     extent: wp.vec2
     """Half sides of the box outside which alpha is below 1/255, pixels."""
     color: wp.vec3
-    """Colour, display-referred sRGB, not negative."""
+    """Colour of the Gaussian as the eye sees it, display-referred sRGB, not negative."""
     depth: float
     """View depth of the Gaussian's mean, by which splats are sorted."""
     normal: wp.vec3
-    """Normal, world space, unit, towards the viewer."""
+    """Unit normal of the Gaussian, world space, towards the viewer."""
     index: int
     """Index of the splat's Gaussian, counted over all splat instances of the scene."""
 
@@ -152,7 +152,7 @@ class RayRasterData:
 
     Gaussians trained with antialiasing are not widened."""
     sh_degree: int
-    """Highest SH degree that is evaluated."""
+    """Highest SH degree, 0 to 3, at which the colours of splats are evaluated."""
     transmittance_min: float
     depth_iso_transmittance: float
     field: float
@@ -179,13 +179,13 @@ class RaySplat:
     eye: wp.vec3
     """Position of the eye in the Gaussian's canonical space; with a rolling shutter, at the start of the first row."""
     log_opacity: float
-    """Natural logarithm of the opacity."""
+    """Natural logarithm of the Gaussian's opacity."""
     color: wp.vec3
-    """Colour, display-referred sRGB, not negative."""
+    """Colour of the Gaussian as the eye sees it, display-referred sRGB, not negative."""
     depth: float
-    """Depth by which splats are sorted, above 0."""
+    """Depth by which splats are sorted: of the mean, along the axis or, for a fisheye, from the eye; above 0."""
     normal: wp.vec3
-    """Normal, world space, unit, towards the viewer."""
+    """Unit normal of the Gaussian, world space, towards the viewer."""
     index: int
     """Index of the Gaussian, counted over all splat instances of the scene."""
     box: PixelBox

@@ -122,7 +122,7 @@ MEAN_FIELDS = ("mean_depth", "mean_finish")
 """Fields of `GaussianHits` that are filled only if the lit surface is the weighted mean of a ray's Gaussians."""
 
 EXTRA_FIELDS = RELIT_FIELDS + MEAN_FIELDS
-"""Fields of `GaussianHits` that only some frames need."""
+"""Fields of `GaussianHits` that only some frames fill: RELIT_FIELDS and MEAN_FIELDS."""
 
 
 @struct

@@ -144,7 +144,7 @@ class MeshData:
 
 @struct
 class AlphaData:
-    """Alpha of a mesh's material."""
+    """Alpha of a mesh's material: mode, constant factor, and what rays do with it."""
 
     mode: int
     """How alpha is used, as in glTF: ALPHA_OPAQUE, ALPHA_MASK or ALPHA_BLEND."""
@@ -186,7 +186,7 @@ class SmoothData:
     """Strength of the clearcoat layer, 0..1."""
     coat_alpha: float
     sheen: float
-    """Largest channel of the sheen colour."""
+    """Largest channel of the material's sheen colour; 0: no sheen."""
     sheen_curve: wp.vec4
     varied: int
     """Index into MeshData.varied; 0: no texture varies transmission, clearcoat or sheen."""
@@ -222,7 +222,7 @@ class MeshInstanceData:
     """Index of the mesh's first triangle in ``MeshData.indices``."""
     has_normals: int
     base_color: wp.vec3
-    """Base colour factor, linear."""
+    """Base colour of the mesh's material, linear; texture and vertex colours are multiplied by it."""
     texture: TextureData
     alpha: AlphaData
     material: SmoothData

@@ -14,7 +14,7 @@ BSDF_PBR: int = wp.constant(1)
 
 @struct
 class LightData:
-    """A light, world space."""
+    """A light of any type, world space; which fields count depends on the type."""
 
     kind: int
     """Type of the light: LIGHT_POINT and so on, see device/light/light.py."""
@@ -50,7 +50,7 @@ class EnvironmentData:
     """The environment map and its CDF tables for importance sampling by brightness."""
 
     exists: int
-    """1: the scene has an environment map; 0: the other fields are undefined."""
+    """1: the scene has an environment; 0: it has none, and the other fields do not count."""
     visible: int
     """1: camera rays see the environment."""
     world_from_environment: wp.mat33
@@ -258,7 +258,7 @@ class ShadingSettings:
     """What camera rays that hit nothing show: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING (transparent)."""
     light_count: int
     absorbs: int
-    """1: some mesh contains a medium with absorption, so that rays must record the media that they are in."""
+    """1: some mesh contains a medium that absorbs light, so that transmittance must be computed along rays."""
     soft: int
     """1: lights with an extent are sampled over it (soft shadows); 0: at their centres (hard shadows)."""
     more_draws: int
