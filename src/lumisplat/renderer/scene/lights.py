@@ -258,7 +258,7 @@ class Emitters:
         self._key: object = None
 
     def sync(self, scene: Scene, buffers: Buffers) -> None:
-        """Writes the table of a scene's emissive triangles."""
+        """Writes the table of a scene's emissive triangles, if they have changed since the last call."""
         emitters = [(number, instance) for number, instance in enumerate(scene.meshes) if is_emitter(instance)]
         transforms = [(number, id(instance.mesh), instance.transform.tobytes()) for number, instance in emitters]
         key = transforms, len(scene.meshes)
@@ -291,7 +291,7 @@ class Emitters:
 
 
 def is_emitter(instance: MeshInstance) -> bool:
-    """Returns whether a mesh instance emits light."""
+    """Returns whether a mesh instance has a material that emits light."""
     return instance.mesh.material.is_emissive
 
 

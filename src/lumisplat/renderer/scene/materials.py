@@ -77,7 +77,7 @@ def is_rough_glass(instance: MeshInstance) -> bool:
 
 
 def absorbs(instance: MeshInstance) -> bool:
-    """Returns whether the medium inside a mesh absorbs light."""
+    """Returns whether a mesh contains a medium that absorbs light."""
     material = instance.mesh.material
     return isinstance(material, MaterialPbr) and math.isfinite(material.attenuation_distance)
 

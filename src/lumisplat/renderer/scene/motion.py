@@ -29,14 +29,14 @@ OUTDATED_HISTORY_WEIGHT = 1e-4
 cached lighting at once, but where there are none yet, it is still shown."""
 
 CHANGED_HISTORY_WEIGHT = 0.7
-"""Factor on the weight of cached lighting in each frame after lights move or change a little; means then cover about
-three frames."""
+"""Factor on the weight of cached lighting in each of the `CHANGED_FRAMES` frames after lights move or change a little;
+means then cover about three frames."""
 
 CHANGED_FRAMES = 8
 """Number of frames for which the weight of cached lighting is reduced after lights change."""
 
 MOVED_HISTORY_WEIGHT = 0.8
-"""Factor on the weight of cached lighting in each frame after lit objects move."""
+"""Factor on the weight of cached lighting in each of the `MOVED_FRAMES` frames after objects move."""
 
 MOVED_FRAMES = 16
 """Number of frames for which the weight of cached lighting is reduced after objects move."""

@@ -70,7 +70,7 @@ wp.set_module_options(PACKET_OPTIONS)
 
 @struct
 class RayAbsorption:
-    """Light that a shadow ray has lost to the Gaussians that it has met so far."""
+    """Light that a shadow ray has lost to the Gaussians hit so far."""
 
     transmittance: float
     """Product of 1 - alpha over the Gaussians hit so far; 0: the ray is blocked."""
