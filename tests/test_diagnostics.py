@@ -28,7 +28,7 @@ def test_diagnosis_of_the_test_machine_has_no_problems() -> None:
     assert warp.installed == metadata.version("warp-lang") and warp.is_right
 
 
-def test_diagnosed_extras_list_only_their_own_packages() -> None:
+def test_diagnosis_lists_under_each_extra_its_own_packages_and_no_base_requirements() -> None:
     """Extras omit the base requirements and developers' extras; each names its pip command."""
     extras = {extra.name: extra for extra in ls.diagnostics.diagnose().extras}
     assert [package.name for package in extras["video"].packages] == ["av"]

@@ -25,7 +25,7 @@ def squared_error(values: np.ndarray, entries: np.ndarray, labels: np.ndarray) -
 
 @pytest.mark.parametrize("components", [9, 24, 45])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_nearest_palette_entries_match_float64(components: int, threads: int) -> None:
+def test_nearest_palette_entries_of_a_group_match_a_float64_search(components: int, threads: int) -> None:
     """Each vector gets the nearest entry of its own group, even if another group has a nearer one."""
     values = clusters(500, components)
     group = np.random.default_rng(1).integers(0, 4, len(values))
@@ -43,7 +43,7 @@ def test_nearest_palette_entries_match_float64(components: int, threads: int) ->
 
 
 @pytest.mark.parametrize("count", [1, 5, 16, 40])
-def test_palette_of_one_level_matches_k_means(count: int) -> None:
+def test_palette_of_one_level_has_the_error_of_float64_k_means(count: int) -> None:
     """Within one group, k-means reaches the error of its float64 twin from the same start."""
     values = clusters(300, 9)
     launcher = Launcher("cpu")
@@ -54,7 +54,7 @@ def test_palette_of_one_level_matches_k_means(count: int) -> None:
     assert distances.sum() == pytest.approx(expected, rel=1e-4)
 
 
-def test_unused_palette_entries_move_to_the_largest_error() -> None:
+def test_palette_entry_without_vectors_moves_to_the_vector_of_largest_error() -> None:
     """An entry without vectors moves to the vector of its group that is farthest from its own entry."""
     values = np.array([[0.0], [1.0], [7.0], [2.0], [90.0]], np.float32)
     group = np.array([0, 0, 0, 0, 1])
@@ -63,7 +63,7 @@ def test_unused_palette_entries_move_to_the_largest_error() -> None:
     np.testing.assert_array_equal(entries.values[[0, 1, 16], 0], [2.5, 7.0, 90.0])
 
 
-def test_palette_of_two_levels_is_no_worse_than_one_level() -> None:
+def test_palette_of_two_levels_has_at_most_2_percent_more_error_than_of_one_level() -> None:
     """A two-level palette has at most the error of ten k-means steps that compare with all entries."""
     values = clusters(1200, 24, centers=50)
     palette = fit_palette(values, 256, "cpu")
@@ -89,7 +89,7 @@ def test_palette_of_identical_vectors_has_one_entry(count: int) -> None:
         np.testing.assert_array_equal(palette.labels, np.zeros(len(values)))
 
 
-def test_palette_is_deterministic() -> None:
+def test_palette_of_equal_vectors_is_identical_in_repeated_calls() -> None:
     """The palette depends neither on chance nor on the number of threads."""
     values = clusters(700, 24)
     first, second = (fit_palette(values, 64, "cpu") for _ in range(2))
@@ -97,7 +97,7 @@ def test_palette_is_deterministic() -> None:
     np.testing.assert_array_equal(first.labels, second.labels)
 
 
-def test_palette_groups_with_more_error_get_more_entries() -> None:
+def test_palette_entries_are_divided_among_groups_by_the_root_of_size_times_error() -> None:
     """Entries are divided by the root of size times error; no group is empty or has more entries than vectors."""
     group = np.repeat([0, 1, 2, 3], [100, 100, 400, 2])
     errors = np.repeat([1.0, 4.0, 1.0, 0.0], [100, 100, 400, 2]).astype(np.float32)

@@ -131,7 +131,7 @@ def test_bake_changes_neither_captures_that_are_not_lit_nor_shapes_of_lit_gaussi
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_baked_shadow_catcher_is_darker_only_in_the_shadow(pipeline: ls.Pipeline) -> None:
+def test_baking_darkens_a_shadow_catcher_inside_the_shadow_and_nowhere_else(pipeline: ls.Pipeline) -> None:
     """Colours are darker where a mesh blocks the sun, and the same to the bit elsewhere."""
     capture = replace(floor(1200), material=ls.MaterialSimple(ambient=0.0), shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((0.8, 0.02, 0.8), material=diffuse(0.0)), position=(-0.5, 0.5, 0.0))
@@ -149,7 +149,7 @@ def test_baked_shadow_catcher_is_darker_only_in_the_shadow(pipeline: ls.Pipeline
         np.testing.assert_array_equal(after[apart], before[apart])
 
 
-def test_baked_shadow_removes_at_most_the_irradiance_of_the_sun() -> None:
+def test_shadow_baked_into_a_shadow_catcher_removes_no_more_than_the_suns_irradiance() -> None:
     """A shadow catcher also holds light of lights that the scene lacks, so a dim sun's shadow removes only E / pi.
 
     Gaussians seen from below, where the sun does not shine, lose less.

@@ -43,7 +43,7 @@ ALL = np.ones((2, RAYS, 1))
 """Hit fractions of rays all of whose samples hit something."""
 
 
-def test_denoising_a_bake_removes_noise_of_constant_light_but_no_colour():
+def test_denoising_a_bake_removes_noise_and_keeps_coloured_patches_of_an_evenly_lit_wall():
     """Coloured patches of an evenly lit wall keep their colours, with a tenth of the noise."""
     rng = np.random.default_rng(1)
     weights, colors = neighbours(rng), rng.uniform(0.1, 0.9, (GAUSSIANS, 3))

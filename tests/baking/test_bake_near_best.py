@@ -66,7 +66,7 @@ def decibels(shown: ls.Scene, scene: ls.Scene) -> float:
     return float(-10.0 * np.log10(np.square(np.concatenate(errors)).mean()))
 
 
-def test_sh_of_degree_3_bake_a_highlight_better_than_degree_0() -> None:
+def test_highlight_baked_to_sh_of_degree_3_has_a_higher_psnr_than_to_degree_0() -> None:
     """The error of degree 3 is 3 dB lower."""
     scene = glossy_ball(150)
     even, following = (decibels(ls.bake(scene, TRACE, degree=degree, device="cpu"), scene) for degree in (0, 3))

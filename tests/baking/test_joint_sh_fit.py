@@ -75,7 +75,7 @@ def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend
     return blend, replace(some, colors=blend.pixel_colors(truth) + rng.normal(0.0, 0.1, (rays, 3)))
 
 
-def test_few_later_rays_do_not_override_many_earlier_ones_in_a_fit() -> None:
+def test_few_later_rays_do_not_override_many_earlier_rays_in_the_joint_sh_fit() -> None:
     """Gaussians at the border of a part are on few rays of the next part, which count by their number."""
     rng = np.random.default_rng(3)
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
@@ -115,7 +115,7 @@ def veil() -> ls.SplatInstance:
 
 
 @pytest.mark.parametrize("other", [veil(), ls.MeshInstance(ball(0.5, diffuse(0.0, 3.0), rows=8), position=(0, 2, 0))])
-def test_unbaked_objects_on_a_ray_are_not_baked_into_gaussians(
+def test_colours_of_objects_that_are_not_baked_do_not_enter_gaussians_on_the_same_ray(
     other: ls.SplatInstance | ls.MeshInstance,
 ) -> None:
     """Rays hit a bright capture or mesh before or beside a Gaussian; a black body stays black."""
@@ -127,7 +127,7 @@ def test_unbaked_objects_on_a_ray_are_not_baked_into_gaussians(
     np.testing.assert_allclose(shown.gaussians.sh, -0.5 / SH_C0, atol=1e-4)
 
 
-def test_rays_hit_lights_exactly_where_path_traced_frames_show_them() -> None:
+def test_rays_of_a_bake_hit_lights_exactly_where_path_traced_frames_show_them() -> None:
     """Rays come from above, below and inside of a sphere; disabled or invisible lights are never hit."""
     rng = np.random.default_rng(2)
     origins = (rng.uniform(-1.0, 1.0, (4000, 3)) * (0.6, 2.0, 0.6) + (0.0, 2.0, 0.0)).astype(np.float32)

@@ -62,7 +62,7 @@ def test_bake_draws_ray_directions_in_proportion_to_view_weight_times_distance()
     np.testing.assert_allclose(taken, wanted / wanted.sum(axis=1, keepdims=True), atol=0.005)
 
 
-def test_sample_rays_depend_on_gaussian_seed_and_iteration_only() -> None:
+def test_rays_of_a_bake_depend_on_gaussian_seed_and_iteration_and_on_nothing_else() -> None:
     """A subset of the Gaussians gets the same rays as in a draw for all."""
     rays = rays_of(small())
     rays = replace(rays, means=np.zeros_like(rays.means), axes=np.broadcast_to(np.eye(3, dtype=np.float32), (60, 3, 3)))

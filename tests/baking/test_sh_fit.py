@@ -53,7 +53,7 @@ def test_sh_fit_does_not_turn_noise_into_view_dependence() -> None:
     assert (trusted - 0.5).std() > 0.06
 
 
-def test_angular_denoising_is_unbiased_and_keeps_view_dependence() -> None:
+def test_angular_denoising_of_baked_colours_is_unbiased_and_keeps_view_dependence() -> None:
     """Noise on a diffuse side shrinks to the side's mean; view-dependent radiance stays."""
     rng = np.random.default_rng(3)
     front = directions()[..., 2] < 0.0
@@ -69,14 +69,14 @@ def test_angular_denoising_is_unbiased_and_keeps_view_dependence() -> None:
     np.testing.assert_allclose(b, bright, atol=1e-12)
 
 
-def test_evenly_spread_directions_integrate_sh_up_to_degree_3() -> None:
+def test_sums_over_evenly_spread_view_directions_integrate_sh_up_to_degree_3() -> None:
     """The directions sum to nearly 0, and SH are orthonormal over them."""
     for count in (32, 64):
         basis = sh_basis(even_directions(count), 3)
         np.testing.assert_allclose(4.0 * np.pi / count * basis.T @ basis, np.eye(16), atol=0.07)
 
 
-def test_view_weights_favour_visible_lit_and_front_sides() -> None:
+def test_bake_weights_views_of_visible_lit_and_front_sides_of_a_gaussian_most() -> None:
     """Weights grow with the viewing distance. The darker of two sides has little weight, and a known front has more."""
     front = np.tile([True, True, False, False], (3, 1))
     light = np.ones((3, 4, 3))

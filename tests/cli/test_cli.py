@@ -52,7 +52,7 @@ def test_render_selects_cameras_by_name_and_scales_images(work):
 
 
 @pytest.mark.parametrize("frame", ["right", "1", "1:"])
-def test_render_writes_one_of_several_cameras_to_a_file(work, frame):
+def test_render_of_one_of_several_cameras_writes_a_single_file(work, frame):
     """``--frames`` selects the camera by name or number."""
     options = ("--cameras", "@cameras.json", "--frames", frame, "--width", "32", "--device", "cpu")
     assert work.run("render", "@capture.ply", "-o", "@one.png", *options).status == 0
@@ -67,7 +67,7 @@ def test_render_refuses_a_camera_number_out_of_range(work):
     assert outcome.err == "error: --frames is '2', and '2' is out of range: there are 2 cameras, 0-1\n"
 
 
-def test_render_logs_that_cameras_of_several_files_are_not_used(work, caplog):
+def test_render_of_several_files_logs_that_the_cameras_in_them_are_not_used(work, caplog):
     """Cameras of a single glTF are used; beside another file, a line names the option that uses them."""
     camera = front_camera(width=16, height=12, name="inside")
     scene = ls.Scene(meshes=[ls.MeshInstance(ls.box())])
@@ -168,7 +168,7 @@ def configured(work: Workspace, monkeypatch: pytest.MonkeyPatch, *args: str) -> 
     return configs[0]
 
 
-def test_render_options_of_the_ray_tracer_reach_its_settings(work, monkeypatch, caplog):
+def test_ray_tracer_options_of_render_change_the_settings_of_the_ray_tracer(work, monkeypatch, caplog):
     """Each option changes its setting, in all groups of settings that have it."""
     config = configured(work, monkeypatch, "render", "@mesh.obj", "--pipeline", "trace", *TRACE_OPTIONS)
     assert config == ls.RenderConfig(
@@ -409,7 +409,7 @@ def test_info_prints_unusual_properties_only_if_present(work):
     assert "metallic 0 roughness 0 specular 1 ior 1.33 transmission 1" in shown
 
 
-def test_info_numbers_and_names_meshes_and_cameras(work):
+def test_info_prints_numbers_and_names_of_meshes_and_names_of_cameras(work):
     """Meshes of one entry are numbered and named, and frames are listed by their file names."""
     work.path("two.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wood\nf 1 2 3\nusemtl brass\nf 3 2 1\n")
     work.path("scene.toml").write_text('[[meshes]]\npath = "two.obj"\nname = "lamp"\n')
@@ -460,7 +460,7 @@ def test_render_drop_invalid_renders_the_valid_gaussians(work):
     assert work.run("render", "@nan.ply", "-o", "@a.png", "--width", "32", "--drop-invalid").status == 0
 
 
-def test_bench_prints_times_of_loading_frames_and_stages(work):
+def test_bench_prints_times_of_loading_of_frames_and_of_their_stages(work):
     """There is a row for loading, the first frame, steady frames and each stage."""
     outcome = work.run("bench", "@capture.ply", "--width", "64", "--repeats", "2", "--device", "cpu")
     assert outcome.status == 0

@@ -123,7 +123,7 @@ def names(*indices: int) -> list[str]:
     return [f"frame_{index:04d}.png" for index in indices]
 
 
-def test_animate_frames_equal_those_of_the_library(work):
+def test_frames_of_the_animate_command_equal_those_of_the_library(work):
     """Each frame equals the scene of `AvatarLighter` at its time, in which the ball and its shadow move."""
     work.path("scene.toml").write_text(RELIT)
     done = animate(work, "frames")
@@ -501,7 +501,7 @@ def test_animate_removes_temporary_files_of_a_killed_run(work, monkeypatch) -> N
     assert not any(".lumisplat" in name for name in work.files())
 
 
-def test_check_of_a_video_path_leaves_no_file(work, monkeypatch) -> None:
+def test_checking_whether_a_video_can_be_written_leaves_no_file(work, monkeypatch) -> None:
     """The check writes elsewhere, so that a killed check leaves nothing in the folder of the video."""
     tried: list[str] = []
 

@@ -51,7 +51,7 @@ def test_bake_joins_all_captures_of_a_scene_into_one(work, name):
     np.testing.assert_allclose(colors[~of_ball][0], (0.9, 0.5, 0.1), atol=0.02)
 
 
-def test_bake_lights_a_capture_with_albedo_by_an_environment(work):
+def test_bake_command_lights_a_capture_that_has_albedo_by_an_environment(work):
     """A single capture needs no scene file; its radiance is at least albedo times the environment's."""
     from lumisplat.io.images.exr import write_exr
 
@@ -85,7 +85,7 @@ def test_bake_lights_a_capture_with_albedo_by_an_environment(work):
         (("@both.toml", "-o", "@b.ply", "--exposure", "nan"), "exposure is nan"),
     ],
 )
-def test_bake_reports_mistakes_in_one_line(work, arguments, message):
+def test_bake_command_reports_mistakes_of_the_user_in_one_line(work, arguments, message):
     """Each mistake ends with status 2, and writes nothing."""
     done = work.run("bake", *arguments, "--device", "cpu")
     assert done.status == 2

@@ -117,7 +117,7 @@ def test_render_holds_only_the_blocks_of_one_view_in_memory(work: Workspace, mon
     assert len(references) == 4
 
 
-def test_render_lod_pixels_loads_coarser_levels_of_far_blocks(work: Workspace) -> None:
+def test_lod_pixels_option_of_render_loads_far_blocks_at_coarser_levels(work: Workspace) -> None:
     """An orbit with the same option shows the same capture."""
     made(work, "--coarser", "2")
     for tolerance, out in (("0", "fine"), ("12", "coarse")):
@@ -188,7 +188,9 @@ def test_blocks_plan_prints_memory_and_loaded_bytes_of_each_worker(work: Workspa
         (["render", "@town", "--lod", "pixels=1", "--aov", "deep", "-o", "@a.exr"], "--lod pixels= and --aov deep"),
     ],
 )  # fmt: skip
-def test_blocks_command_reports_mistakes_in_one_line(work: Workspace, arguments: list[str], message: str) -> None:
+def test_blocks_command_reports_mistakes_of_the_user_in_one_line(
+    work: Workspace, arguments: list[str], message: str
+) -> None:
     """Each mistake ends with status 2, and leaves no file."""
     made(work)
     ls.save(work.path("flat.ply"), random_gaussians(1, count=20, degree=2))

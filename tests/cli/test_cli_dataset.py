@@ -120,7 +120,7 @@ def test_dataset_options_set_cameras_environment_and_exposure(work) -> None:
         (("--objects", "@cameras.json"), "cameras.json: "),
     ],
 )
-def test_dataset_command_reports_mistakes_in_one_line(work, options: tuple[str, ...], message: str) -> None:
+def test_dataset_command_reports_mistakes_of_the_user_in_one_line(work, options: tuple[str, ...], message: str) -> None:
     """Each mistake ends with status 2, and writes no view."""
     options = tuple(str(work.path(option[1:])) if option.startswith("@") else option for option in options)
     done = work.run("dataset", "@scene.toml", "-o", "@out", *SIZE, *options)

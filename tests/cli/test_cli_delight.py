@@ -143,7 +143,7 @@ def test_delight_reports_a_full_disk_for_the_environment_in_one_line(work):
         (("@few.ply", "-o", "@out.ply"), "few.ply: no surface to estimate materials of: 9 of 9 Gaussians"),
     ],
 )
-def test_delight_reports_mistakes_in_one_line(work, arguments, message):
+def test_delight_command_reports_mistakes_of_the_user_in_one_line(work, arguments, message):
     """Each line states what was expected, and nothing is written."""
     done = work.run("delight", *arguments, "--device", "cpu")
     assert done.status == 2

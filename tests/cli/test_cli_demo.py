@@ -23,7 +23,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return Workspace(tmp_path, capsys)
 
 
-def test_demo_writes_an_image_for_each_camera_and_lit_images(work, monkeypatch):
+def test_demo_command_writes_an_image_for_each_camera_and_lit_images_beside_them(work, monkeypatch):
     """On request, demo writes a capture and cameras that can be rendered."""
     capture = ls.SplatInstance(work.capture("capture.ply"), material=ls.MaterialPbr())
     lights = (

@@ -172,7 +172,7 @@ def test_evaluate_shows_a_dash_for_metrics_of_missing_packages(work, monkeypatch
         (("@capture.ply", "@photos", "-o", "@photos/images/v0.png"), "v0.png: is a file, expected a folder"),
     ],
 )
-def test_evaluate_reports_mistakes_in_one_line(work, args, problem, caplog):
+def test_evaluate_command_reports_mistakes_of_the_user_in_one_line(work, args, problem, caplog):
     """Each mistake ends with status 2, writes nothing, and logs nothing about work that is not done."""
     before = work.files()
     done = work.run("evaluate", *args, "--device", "cpu") if args else work.run("evaluate")

@@ -109,7 +109,7 @@ def test_evaluate_materials_logs_missing_ground_truth(work, caplog):
         ((*COMMAND, "-o", "@set/test"), "set/test has the images, which the report's images would replace"),
     ],
 )
-def test_evaluate_materials_reports_mistakes_in_one_line(work, args, problem):
+def test_evaluate_materials_command_reports_mistakes_of_the_user_in_one_line(work, args, problem):
     """Each mistake ends with status 2, and writes nothing."""
     before = work.files()
     done = work.run(*args)

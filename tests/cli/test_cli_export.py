@@ -93,7 +93,7 @@ def test_ply_capture_rotated_for_blender_matches_the_glb_in_blenders_z_up_axes(w
     np.testing.assert_allclose(rotated.means, np.stack([x, -z, y], axis=1), atol=1e-5)
 
 
-def test_export_joins_files_and_cameras_to_a_scene(work: Workspace) -> None:
+def test_export_command_joins_several_files_and_their_cameras_to_one_scene(work: Workspace) -> None:
     """Files of any kind make one scene; ``--cameras`` adds cameras of another file."""
     outcome = work.run("export", "@capture.ply", "@mesh.obj", "--cameras", "@cameras.json", "-o", "@all.gltf")
     assert (outcome.status, outcome.err) == (0, "")
@@ -134,7 +134,9 @@ def test_convert_writes_and_reads_glb_captures_without_changes(work: Workspace) 
         (("@scene.toml", "--up", "sideways", "-o", "@a.glb"), "--up is 'sideways'"),
     ],
 )
-def test_export_reports_mistakes_in_one_line(work: Workspace, args: tuple[str, ...], problem: str) -> None:
+def test_export_command_reports_mistakes_of_the_user_in_one_line(
+    work: Workspace, args: tuple[str, ...], problem: str
+) -> None:
     """Each line names the mistake; no file is written."""
     before = work.files()
     outcome = work.run("export", *args)

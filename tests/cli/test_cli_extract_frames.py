@@ -47,7 +47,7 @@ def test_extract_frames_reports_a_single_image_as_too_few(tmp_path: Path, capsys
         (("text.mp4", "-o", "out", "--size", "1"), "--size is 1"),
     ],
 )
-def test_extract_frames_reports_mistakes_in_one_line(
+def test_extract_frames_command_reports_mistakes_of_the_user_in_one_line(
     options: tuple[str, ...],
     problem: str,
     tmp_path: Path,

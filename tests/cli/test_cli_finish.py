@@ -58,7 +58,9 @@ def test_orbit_denoise_denoises_every_frame(work: Workspace, monkeypatch: pytest
     assert "denoise" in work.run("orbit", "@scene.toml", *options).err
 
 
-def test_unlit_frames_are_not_denoised_but_logged(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
+def test_denoise_option_leaves_unlit_frames_unchanged_and_logs_that_it_is_not_used(
+    work: Workspace, caplog: pytest.LogCaptureFixture
+) -> None:
     """The line names the option and how to light the frame."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     assert work.run(*RENDER, "--lighting", "off", "--denoise", "-o", "@flat.png").status == 0

@@ -225,7 +225,7 @@ def test_fit_overwrites_a_scene_file_only_with_overwrite(work):
         (("@room.toml", "@wide.png", "-o", "@a.toml", "--camera", "door"), "another aspect ratio"),
     ],
 )
-def test_fit_reports_mistakes_in_one_line(work, arguments, message):
+def test_fit_command_reports_mistakes_of_the_user_in_one_line(work, arguments, message):
     """Each mistake ends with status 2, and writes no file."""
     Image.new("RGB", (80, 40), (90, 90, 90)).save(work.path("wide.png"))
     work.path("folder.toml").mkdir()

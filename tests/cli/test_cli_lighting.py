@@ -230,7 +230,7 @@ def turned(wxyz: Any, vector: tuple[float, float, float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("up", UP)
-def test_render_environment_is_rotated_to_the_up_direction(work, monkeypatch, sky, up):
+def test_environment_option_of_render_rotates_the_image_to_the_scenes_up_direction(work, monkeypatch, sky, up):
     """The zenith of the image is up, its centre ahead of the default camera.
 
     ``--environment-rotation`` is about the vertical.
@@ -250,7 +250,7 @@ def test_render_environment_is_rotated_to_the_up_direction(work, monkeypatch, sk
     np.testing.assert_allclose(turned(quarter.rotation_wxyz, (0, 0, -1)), left, atol=1e-12)
 
 
-def test_render_environment_replaces_that_of_the_scene(work, monkeypatch, sky):
+def test_environment_option_of_render_replaces_the_environment_of_the_scene(work, monkeypatch, sky):
     """Other lights stay; up is the up direction of the scene, y down with a capture."""
     recorder = RecordingRenderer(monkeypatch)
     text = SCENE + '[environment]\ncolor = [1, 0, 0]\n[[splats]]\npath = "capture.ply"\n'

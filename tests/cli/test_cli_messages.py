@@ -53,7 +53,7 @@ def messages() -> list[str]:
     return found
 
 
-def test_library_messages_name_options_on_the_command_line() -> None:
+def test_command_line_shows_options_in_place_of_python_names_in_library_messages() -> None:
     """Every setting and every enum value in the library's messages becomes an option."""
     texts = messages()
     assert len(texts) >= 3
@@ -78,7 +78,7 @@ def test_library_messages_name_options_on_the_command_line() -> None:
         ("garden.ply: samples is 3", "garden.ply: samples is 3"),
     ],
 )
-def test_python_names_in_messages_become_options(message: str, expected: str) -> None:
+def test_python_names_in_messages_are_replaced_by_command_line_options(message: str, expected: str) -> None:
     """The name of a setting whose option was not given stays."""
     setting = message.split(maxsplit=1)[0] if " is " in message else None
     assert shell_words(message, Render(samples=0), setting) == expected
@@ -112,7 +112,7 @@ def test_errors_name_the_option_that_was_typed(work, options, error):
     assert outcome.status == 2 and error in outcome.err and outcome.err.count("\n") == 1
 
 
-def test_set_options_of_ray_tracing_reach_the_frame(work):
+def test_set_options_of_the_ray_tracer_change_the_rendered_frame(work):
     """Acceptance, clamping and the depth threshold are stored in the settings."""
     options = (
         "--set=trace.acceptance_scale=0.5",

@@ -174,7 +174,7 @@ def test_metrics_of_one_avatar_print_one_column(work):
         (("@avatar.ply", "--scene", "@room.ply", "--radius", "-1"), "--radius is -1"),
     ],
 )
-def test_metrics_reports_mistakes_in_one_line(work, args, named):
+def test_metrics_command_reports_mistakes_of_the_user_in_one_line(work, args, named):
     """Each mistake ends with status 2."""
     done = work.run("metrics", *args)
     assert (done.status, done.out) == (2, "")
@@ -182,7 +182,7 @@ def test_metrics_reports_mistakes_in_one_line(work, args, named):
     assert named in done.err
 
 
-def test_metrics_logs_missing_packages_and_computes_the_rest(work, monkeypatch, caplog):
+def test_metrics_command_logs_missing_packages_and_computes_all_other_metrics(work, monkeypatch, caplog):
     """The line names the package to install."""
     monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
     caplog.clear()

@@ -127,7 +127,7 @@ def test_relight_in_darkness_prints_advice_without_a_gamma(work):
         (("@ball.ply", "@room.ply", "--device", "cuda:7"), "cuda:7"),
     ],
 )
-def test_relight_reports_mistakes_in_one_line(work, monkeypatch, args, named):
+def test_relight_command_reports_mistakes_of_the_user_in_one_line(work, monkeypatch, args, named):
     """Each mistake ends with status 2 and one line on standard error that names it, and writes no file."""
     monkeypatch.chdir(work.folder)
     work.path("sky.exr").write_text("an image")

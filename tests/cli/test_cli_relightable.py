@@ -89,7 +89,7 @@ def test_train_relightable_estimates_materials_from_refined_poses(
         (("-o", "a.ply", "--material-steps", "-1"), "--material-steps is -1, expected 0 or more"),
     ],
 )
-def test_train_relightable_refuses_options_that_exclude_it(
+def test_train_refuses_the_option_relightable_together_with_options_that_exclude_it(
     options: tuple[str, ...], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The error comes before any file is read."""

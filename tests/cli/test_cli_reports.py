@@ -19,7 +19,7 @@ NOISE = np.random.default_rng(0).random((60, 40, 3))
 SMALL = np.zeros((4, 4, 3))
 
 
-def test_full_disk_keeps_the_former_report_files(tmp_path: Path) -> None:
+def test_former_report_files_stay_unchanged_if_the_disk_is_full(tmp_path: Path) -> None:
     """No partial or temporary file is left."""
     with small_disk(tmp_path / "disk", "16k") as disk:
         write_json(disk / "report.json", {"psnr": 31.0})
@@ -34,7 +34,7 @@ def test_full_disk_keeps_the_former_report_files(tmp_path: Path) -> None:
             assert image.size == (12, 4)
 
 
-def test_temporary_file_of_a_report_survives_other_writers(tmp_path: Path) -> None:
+def test_temporary_file_of_a_running_report_writer_is_not_removed_by_other_writers(tmp_path: Path) -> None:
     """Writers remove temporary files of killed runs in their folder, but not those of running processes."""
     with comparisons._replaced(tmp_path / "report.json") as temporary:
         temporary.write_text("{}")

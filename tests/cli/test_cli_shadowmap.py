@@ -86,7 +86,9 @@ def test_shadowmap_drop_invalid_leaves_out_invalid_gaussians(work: Workspace) ->
         (("--light", LIGHT, "--onto", "@mesh.obj", "-o", "@a.ply"), "mesh.obj: is not a capture"),
     ],
 )
-def test_shadowmap_reports_mistakes_in_one_line(work: Workspace, args: tuple[str, ...], problem: str) -> None:
+def test_shadowmap_command_reports_mistakes_of_the_user_in_one_line(
+    work: Workspace, args: tuple[str, ...], problem: str
+) -> None:
     """Each mistake ends with status 2, and leaves no file."""
     before = work.files()
     status, out, err = run(work, *args)

@@ -64,7 +64,7 @@ def test_train_by_ray_tracing_stores_the_kernel_degree(tmp_path: Path, capsys: p
         ),
     ],
 )
-def test_train_reports_mistakes_in_one_line(
+def test_train_command_reports_mistakes_of_the_user_in_one_line(
     options: tuple[str, ...],
     problem: str,
     tmp_path: Path,

@@ -65,7 +65,7 @@ def test_views_of_one_render_share_their_colour_scale(work):
     np.testing.assert_array_equal(read_image(work.path("out/right.png"))["srgb"], expected)
 
 
-def test_render_view_shadow_shows_a_lit_scene(work):
+def test_render_view_shadow_is_white_on_lit_surfaces_and_blue_where_no_light_reaches(work):
     """The lit side of the triangle is white, and pixels that no light reaches are blue."""
     work.path("scene.toml").write_text(
         '[[meshes]]\npath = "mesh.obj"\n'
@@ -97,7 +97,7 @@ def test_render_view_shadow_shows_a_lit_scene(work):
         (("--aov", "depth,shadow"), "--aov has 'shadow', did you mean shadow_ratio? expected some of depth, normal"),
     ],
 )
-def test_views_that_cannot_be_written_are_refused(work, options, error):
+def test_render_refuses_views_and_layers_that_it_cannot_write(work, options, error):
     """One line gives the reason, nothing is written, and the status is 2."""
     outcome = work.run(*ARGS, "--frames", "left", *options, "-o", "@out")
     assert outcome.status == 2 and error in outcome.err
@@ -105,7 +105,7 @@ def test_views_that_cannot_be_written_are_refused(work, options, error):
     assert not list(work.path("out").glob("*"))
 
 
-def test_views_and_layers_request_the_layers_that_they_need():
+def test_view_and_layer_options_of_render_request_the_layers_that_they_need():
     """Each layer is requested once."""
     assert FrameWriter(Layers.of("depth, albedo,lights").names, None).aovs == ("albedo", "lights")
     assert FrameWriter((), "shadow").aovs == ("lights",)

@@ -80,7 +80,9 @@ def test_view_admits_other_machines_only_with_the_host_option(capture: Path) -> 
         assert "open to all machines that reach 0.0.0.0" in process.communicate(timeout=PATIENCE_S)[1]
 
 
-def test_view_reports_mistakes_in_one_line(tmp_path: Path, capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_command_reports_mistakes_of_the_user_in_one_line(
+    tmp_path: Path, capture: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Mistakes are no scene, a missing file, a port in use, and two scene files."""
     work = Workspace(tmp_path, capsys)
     for name in ("a.toml", "b.toml"):

@@ -148,7 +148,7 @@ def test_settings_of_wrong_type_or_range_are_refused_when_created(
     assert "\n" not in str(caught.value)
 
 
-def test_layer_settings_in_any_order_or_iterable_are_equal() -> None:
+def test_render_configs_with_equal_layers_in_any_order_or_iterable_are_equal() -> None:
     """A layer named twice counts once."""
     names: Any = (name for name in ("hits", "albedo", "hits"))
     config = ls.RenderConfig(aovs=names)

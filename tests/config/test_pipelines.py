@@ -16,7 +16,7 @@ SOURCES = Path(lumisplat.__file__).parent
 
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
-def test_each_pipeline_has_a_unique_visibility_and_integrator(pipeline: ls.Pipeline) -> None:
+def test_no_two_pipelines_have_the_same_visibility_and_integrator(pipeline: ls.Pipeline) -> None:
     """No two pipelines render the same way."""
     pair = pipeline.visibility, pipeline.integrator
     assert [one for one in ls.Pipeline if (one.visibility, one.integrator) == pair] == [pipeline]

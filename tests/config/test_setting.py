@@ -105,7 +105,7 @@ def test_settings_accept_exactly_their_declared_range(kind: Any, one: Setting) -
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
-def test_every_setting_has_a_docstring_without_its_range(kind: Any) -> None:
+def test_docstring_of_every_setting_exists_and_does_not_repeat_its_range(kind: Any) -> None:
     """Ranges and units are declared beside the setting, and added to the help automatically."""
     undocumented = {"position", "color", "enabled", "casts_shadow", "name", "wrap_v", "scene", "subject", "gaussians",
                     "actors", "cameras", "alpha", "alpha_mode", "alpha_cutoff"}  # fmt: skip

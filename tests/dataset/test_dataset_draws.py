@@ -65,7 +65,7 @@ def test_winding_number_is_1_inside_a_box_and_0_outside() -> None:
         assert winding_number(triangles[:, ::-1], np.array(point)) == pytest.approx(-expected, abs=1e-6)
 
 
-def test_solids_contain_the_inside_of_objects_but_not_of_rooms() -> None:
+def test_points_inside_objects_count_as_solid_and_points_inside_a_room_do_not() -> None:
     """A mirrored mesh is solid; a box around most of the scene is a room."""
     low, high = np.full(3, -3.0), np.full(3, 3.0)
     mirrored = np.diag((-1.0, 1.0, 1.0, 1.0))

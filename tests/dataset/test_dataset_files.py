@@ -256,7 +256,7 @@ def test_settings_file_in_the_guide_to_data_sets_is_read(tmp_path: Path) -> None
         ("seed = ", "is not valid TOML"),
     ],
 )
-def test_mistakes_in_data_set_settings_are_named_in_one_line(tmp_path, text: str, message: str) -> None:
+def test_each_mistake_in_data_set_settings_is_named_by_a_one_line_error(tmp_path, text: str, message: str) -> None:
     """The message has the file, the line and what was expected."""
     file = tmp_path / "set.toml"
     file.write_text(text + "\n")

@@ -279,7 +279,7 @@ def test_free_space_assumed_by_data_set_tests_is_that_of_their_scene() -> None:
     np.testing.assert_allclose([low, high], [BLOCK_LOW, BLOCK_HIGH], atol=1e-6)
 
 
-def test_data_set_box_of_a_capture_ignores_stray_gaussians() -> None:
+def test_bounding_box_of_a_capture_in_a_data_set_ignores_stray_gaussians() -> None:
     """999 of 1,000 Gaussians are in a cube; the box is within 1 % of the cube at each end."""
     captured = random_gaussians(5, count=1000)
     means = np.random.default_rng(2).uniform(-1.0, 1.0, (1000, 3)).astype(np.float32)

@@ -41,7 +41,7 @@ def test_baked_sunlight_follows_the_cosine_without_self_shadowing() -> None:
     assert lit(plane, plane, (0, -1, 0), SUN_ONLY).max() == 0.0
 
 
-def test_baked_roof_casts_a_shadow_of_its_size() -> None:
+def test_roof_casts_a_shadow_of_its_own_size_in_baked_daylight() -> None:
     """The floor is dark below the roof and bright beside it; the edge is within 4 cm."""
     floor, roof = grid(0.6, 0.0), grid(0.25, 0.5)
     light = lit(np.concatenate([floor, roof]), floor, (0, 1, 0), SUN_ONLY)[:, 0]
@@ -70,7 +70,7 @@ def test_baked_bounce_light_is_strongest_on_downward_surfaces_and_weaker_in_corn
     assert down > 2.0 * up > 3.0 * covered > 0.0
 
 
-def test_strong_baked_daylight_rolls_off_below_one() -> None:
+def test_baked_daylight_of_any_strength_increases_and_stays_at_most_1() -> None:
     """Brighter light gives a brighter result, which stays within 0..1."""
     plane = grid(0.1, 0.0)
     values = [

@@ -159,7 +159,7 @@ def test_transforming_a_mesh_scales_its_volume_and_keeps_its_normals(scales: tup
     np.testing.assert_allclose(present(after.normals), gradient, atol=1e-4)
 
 
-def test_rounded_and_smooth_profiles_pass_through_their_ends() -> None:
+def test_rounded_and_smooth_profiles_begin_and_end_at_their_given_end_points() -> None:
     """A spline passes through its knots; radii never become negative."""
     knots = [(0.0, 1.0), (0.4, 0.9), (0.05, 0.5), (0.3, 0.0)]
     np.testing.assert_allclose(shapes.rounded_profile(knots, 0.1)[[0, -1]], [knots[0], knots[-1]])

@@ -167,7 +167,7 @@ def test_rectangle_light_without_soft_shadows_matches_its_closed_form_irradiance
     assert not samples["pdf"].any()
 
 
-def test_hard_light_samples_ignore_the_extent_of_the_light() -> None:
+def test_samples_of_a_light_without_soft_shadows_ignore_its_extent() -> None:
     """Radius, angular radius and random numbers affect soft lights only."""
     for kind in (LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL):
         sharp, wide = (light(kind, radius=radius, inner=0.1, outer=1.0) for radius in (0.0, 0.7))
@@ -211,7 +211,9 @@ def test_sphere_light_samples_end_on_the_near_side_of_the_sphere(ratio: float, d
 
 @pytest.mark.parametrize("tilt", [0.0, 0.4])
 @pytest.mark.parametrize("ratio", [1e-5, 1e-3, 0.05, 0.5, 0.9])
-def test_sphere_light_has_the_irradiance_of_a_point_light_at_its_centre(ratio: float, tilt: float) -> None:
+def test_irradiance_of_a_sphere_light_equals_that_of_a_point_light_at_the_spheres_centre(
+    ratio: float, tilt: float
+) -> None:
     """A sphere wholly above the horizon gives candela / distance^2 times the cosine of its centre's direction."""
     point = np.array(POSITION) + 3.0 * AXIS
     normal = -math.cos(tilt) * AXIS + math.sin(tilt) * ACROSS
@@ -222,7 +224,7 @@ def test_sphere_light_has_the_irradiance_of_a_point_light_at_its_centre(ratio: f
     np.testing.assert_allclose(mean_irradiance(samples, normal), expected, rtol=1e-4)
 
 
-def test_soft_spot_light_is_attenuated_by_range_and_cone_at_its_centre() -> None:
+def test_range_and_cone_attenuation_of_a_spot_light_with_radius_apply_at_its_centre() -> None:
     """Range window and cone of a spot with a radius are evaluated at the centre."""
     table = light(LIGHT_SPOT, radius=0.3, inner=0.2, outer=0.5, range=4.0)
     angle = 0.35
@@ -313,7 +315,7 @@ def test_disk_light_samples_match_lamberts_polygon_formula(seed: int) -> None:
 
 
 @pytest.mark.parametrize("height", [0.05, 0.7, 20.0])
-def test_disk_light_on_its_axis_matches_the_closed_form(height: float) -> None:
+def test_irradiance_on_the_axis_of_a_disk_light_matches_the_closed_form(height: float) -> None:
     """A soft disk gives radiance times pi r^2 / (r^2 + h^2), a hard one pi r^2 / h^2 and at most pi."""
     table = light(LIGHT_DISK, position=(0.0, height, 0.0), direction=(0.0, -1.0, 0.0), radius=0.7)
     up = np.array([0.0, 1.0, 0.0])

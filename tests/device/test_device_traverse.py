@@ -256,7 +256,7 @@ def mean_entries(found: Found, nodes: np.ndarray, begins: np.ndarray, ends: np.n
 
 
 @pytest.mark.parametrize("spread", SPREADS)
-def test_packet_entry_distance_of_a_box_is_at_most_that_of_any_mean_inside(spread: float) -> None:
+def test_ray_packet_enters_a_box_no_later_than_any_gaussian_mean_inside_the_box(spread: float) -> None:
     """The distance is at most the projection of any point of the box on any live ray.
 
     Boxes that are entered before the packet's end, with means beyond its begin, are not missed.

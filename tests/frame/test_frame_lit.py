@@ -27,7 +27,7 @@ def untouched(frame: ls.Frame) -> np.ndarray:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 @pytest.mark.parametrize("background", [(0.25, 0.5, 0.75), None], ids=["over grey", "transparent"])
-def test_pixels_of_a_lit_frame_without_added_light_equal_the_unlit_frame(
+def test_pixels_of_a_lit_frame_to_which_light_adds_nothing_equal_the_unlit_frame(
     tone_map: ls.ToneMap, background: tuple | None, tmp_path: Path
 ) -> None:
     """Exactly the pixels without added light have the values and PNG bytes of the unlit frame."""
@@ -115,7 +115,7 @@ def test_exr_of_a_lit_frame_ignores_exposure_and_tone_map(tmp_path: Path) -> Non
     np.testing.assert_array_equal(channels["position.Z"], frame.position[..., 2])
 
 
-def test_exr_pixels_without_added_light_equal_the_unlit_frame(tmp_path: Path) -> None:
+def test_exr_pixels_of_a_lit_frame_to_which_light_adds_nothing_equal_the_unlit_frame(tmp_path: Path) -> None:
     """Pixels without added light have the same linear channels, lit or unlit."""
     frame = ball_frame()
     lit, plain = frame.layers(()), unlit(frame).layers(())

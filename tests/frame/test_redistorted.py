@@ -91,7 +91,7 @@ def test_rasterised_and_traced_frames_differ_no_more_with_lens_distortion_than_w
     assert difference[1] < 1.15 * difference[0]
 
 
-def test_points_appear_at_the_pixel_of_opencvs_distortion_formula():
+def test_points_seen_through_a_distorted_lens_appear_at_the_pixel_of_opencvs_formula():
     """A small Gaussian off the axis appears at the pixel of OpenCV's formula."""
     camera = camera_of(BARREL)
     u, v = 0.5, -0.35

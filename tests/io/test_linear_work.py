@@ -77,7 +77,7 @@ def test_loading_a_camera_file_checks_each_camera_once(
     assert len(checked) == 50 * checks - (checks - 1)
 
 
-def test_rescaling_a_camera_executes_fewer_than_420_lines() -> None:
+def test_rescaling_a_camera_executes_fewer_than_420_lines_of_python() -> None:
     """Most of the 387 lines are checks; two calls of np.allclose had added 202."""
     camera = ls.Camera.look_at((0, 0, -1), (0, 0, 0), (0, 1, 0), width=4, height=4)
     lines = _lines(lambda: camera.scaled(8, 8))

@@ -264,7 +264,7 @@ def test_light_metrics_of_gaussians_instances_and_scenes_equal_those_of_their_po
         assert metric(ls.SplatInstance(avatar), room, radius=2.0) == value
 
 
-def test_light_metrics_refuse_invalid_arguments_in_one_line():
+def test_light_metrics_refuse_invalid_arguments_with_a_one_line_error():
     """Errors are a scene with no point near the avatar, too few or black points, invalid settings and arrays."""
     avatar = points(np.full(4000, 0.2))
     far = replace(avatar, positions=avatar.positions + np.array([9, 0, 0], np.float32))

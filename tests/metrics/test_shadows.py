@@ -146,7 +146,7 @@ def test_shadow_metrics_do_not_change_if_both_images_are_mirrored_or_8_bit(metri
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_shadow_metrics_refuse_invalid_arguments_in_one_line(metric):
+def test_shadow_metrics_refuse_invalid_arguments_with_a_one_line_error(metric):
     """Shapes, ranges and settings are invalid."""
     shadow = square(4, 4, 4)
     with pytest.raises(ls.SceneError, match="the image is 20 x 20, its reference 20 x 19"):

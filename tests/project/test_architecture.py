@@ -285,7 +285,7 @@ def misplaced_device_code(path: Path) -> Iterator[str]:
                 yield f"{name}:{node.lineno} {node.name} is a wp.func"
 
 
-def test_kernel_launches_are_only_in_the_launcher_and_kernels_in_kernel_files() -> None:
+def test_kernels_are_launched_only_by_the_launcher_and_defined_only_in_kernel_files() -> None:
     """Launches and graph captures are in launcher.py, kernels in *_kernels.py."""
     assert not [line for path in FILES for line in misplaced_device_code(path)]
 

@@ -39,7 +39,7 @@ def test_every_benchmark_has_a_device_option(path: Path) -> None:
         assert not re.search(r"device=\"cpu\"|_renderer\([^)]*\"cpu\"", path.read_text())
 
 
-def test_benchmarks_refuse_missing_devices_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_benchmarks_refuse_missing_devices_with_a_one_line_error(capsys: pytest.CaptureFixture[str]) -> None:
     """The message lists the available devices."""
     with pytest.raises(SystemExit):
         timing.parser("run", None).parse_args(["--device", "cuda:99"])

@@ -148,7 +148,7 @@ def test_arrays_given_to_a_capture_are_copied() -> None:
 
 
 @pytest.mark.parametrize("take", ["Gaussians", "Mesh", "placement", "environment"])
-def test_arrays_in_gpu_memory_are_refused_in_one_line(take: str) -> None:
+def test_arrays_in_gpu_memory_are_refused_with_a_one_line_error(take: str) -> None:
     """The message says to copy the array to the CPU."""
     with pytest.raises(ls.SceneError, match=r"cannot be read \(this memory is on a GPU\): copy it to the CPU"):
         TAKERS[take](lambda values: Foreign(values, device=2))

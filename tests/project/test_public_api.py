@@ -126,7 +126,7 @@ def test_background_setting_is_three_numbers_from_0_to_1(background: tuple[float
         ls.RenderConfig(background=background)  # pyright: ignore[reportArgumentType]
 
 
-def test_missing_device_is_refused_with_the_available_ones() -> None:
+def test_error_for_a_missing_render_device_lists_the_available_ones() -> None:
     """The devices are cuda:97 and tpu."""
     with pytest.raises(ls.DeviceError, match=r"there is no device 'cuda:97' on this machine: use auto or one of cpu"):
         ls.create_renderer(device="cuda:97")

@@ -187,7 +187,9 @@ def test_delight_recovers_light_from_pairs_of_gaussians_with_similar_albedo() ->
     )
 
 
-def test_albedo_in_a_constant_environment_is_recovered_up_to_a_factor(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_recovers_albedo_in_a_constant_environment_up_to_one_factor(
+    ball: tuple[ls.Gaussians, np.ndarray],
+) -> None:
     """The bands of a ball differ from one factor by less than 5 %; means and SH coefficients are unchanged."""
     plain, albedo = ball
     captured = colored(plain, albedo)
@@ -255,7 +257,7 @@ def test_delight_flags_gaussians_darker_than_their_specular_reflection_in_any_ch
     assert not matt.is_too_dark.any()
 
 
-def test_capture_without_view_dependence_is_estimated_as_rough(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_estimates_a_capture_without_view_dependence_as_rough(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Degree-1 SH coefficients of 0 give a rough surface; SH of degree 0 give roughness 0.8 with confidence 0."""
     plain, albedo = ball
     flat = colored(plain, albedo)
@@ -302,7 +304,7 @@ def test_smoothing_over_neighbouring_gaussians_keeps_constants_and_reduces_noise
     assert smoother.mean(RNG.standard_normal((plain.count, 1))).std() < 0.45
 
 
-def test_gaussians_without_light_take_the_albedo_of_their_neighbours() -> None:
+def test_delight_gives_gaussians_that_no_light_reaches_their_neighbours_albedo() -> None:
     """The radiance of a Gaussian without light does not determine its albedo."""
     points = np.array([(x, 0.0, 0.0) for x in range(5)])
     albedo = np.array([[0.5] * 3, [0.5] * 3, [9.0] * 3, [0.5] * 3, [0.5] * 3])

@@ -60,7 +60,7 @@ def test_observed_irradiance_in_delight_excludes_gaussians_that_count_as_emitter
     np.testing.assert_array_equal(as_emitter.environment, as_white.environment)
 
 
-def test_captured_emitters_are_one_sided_and_cast_shadows() -> None:
+def test_captured_emitters_that_delight_finds_are_one_sided_and_cast_shadows() -> None:
     """Surfaces below a screen, and above an emitter that faces down, receive no light from it."""
     both, normals = emitter_over_floor(screen=True)
     groups = emitters_of(both, is_white(both, normals))

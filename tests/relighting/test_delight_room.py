@@ -37,7 +37,9 @@ def estimate(box: CapturedBox) -> MaterialEstimate:
     return ls.inverse.estimate_materials(box.gaussians, config, device="cpu")
 
 
-def test_estimate_of_a_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: MaterialEstimate) -> None:
+def test_delight_estimates_an_emitter_and_no_environment_for_a_room(
+    box: CapturedBox, estimate: MaterialEstimate
+) -> None:
     """The few rays that escape pass through gaps between Gaussians; the emitter's radiance is above display white."""
     assert estimate.is_inside and not len(estimate.cells) and estimate.environment.shape == (0, 3)
     assert not estimate.environment_image().any()

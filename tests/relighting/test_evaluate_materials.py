@@ -75,7 +75,7 @@ def test_relit_images_of_many_samples_stay_as_sharp_as_rays_through_pixel_centre
     assert result.relit["dusk"].psnr > 55.0
 
 
-def test_ray_traced_relit_captures_are_jittered_only_if_antialiased(folder, ball):
+def test_material_evaluation_jitters_rays_to_a_capture_only_if_it_is_antialiased(folder, ball):
     """Rays with a footprint pass through pixel centres; rays of antialiased captures have none and are jittered."""
     spread = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=4)
     assert spread.jitter

@@ -226,7 +226,7 @@ def test_probe_image_is_not_negative_and_keeps_the_mean_radiance() -> None:
     np.testing.assert_array_equal(black.image(4), 0.0)
 
 
-def test_sh_degree_3_gives_irradiance_within_6_percent() -> None:
+def test_irradiance_of_a_light_probe_of_sh_degree_3_is_within_6_percent() -> None:
     """The environment is a lamp of 0.3 sr that is a hundred times brighter than all other directions."""
     directions, weights = sphere_quadrature(120)
     environment = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
@@ -348,7 +348,9 @@ SCENE, LAMP = ls.Scene([one_gaussian()]), ls.LightPoint((0, 0, 0))
         (lambda: smooth_probe().image(8, (0, 0, 0, 0)), ls.SceneError, "rotation_wxyz"),
     ],
 )
-def test_environment_probe_refuses_invalid_arguments_in_one_line(call, error: type[Exception], message: str) -> None:
+def test_environment_probe_refuses_invalid_arguments_with_a_one_line_error(
+    call, error: type[Exception], message: str
+) -> None:
     """The message is one line that names the argument."""
     with pytest.raises(error) as caught:
         call()

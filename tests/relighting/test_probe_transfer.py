@@ -206,7 +206,7 @@ AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", 
         (lambda: ls.config.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
     ],
 )
-def test_relight_refuses_invalid_arguments_in_one_line(
+def test_relight_refuses_invalid_arguments_with_a_one_line_error(
     call: Callable[[], object], error: type[Exception], message: str
 ) -> None:
     """The message is one line that names the argument."""

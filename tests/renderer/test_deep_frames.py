@@ -220,7 +220,7 @@ def test_composited_deep_samples_equal_frames_with_visible_lights(
         check(ls.layers.render_deep(lit, front_camera(), frame, config, device="cpu"), frame)
 
 
-def test_deep_rays_use_the_seed_of_the_given_frame(scene: ls.Scene) -> None:
+def test_rays_traced_for_deep_samples_use_the_seed_of_the_given_frame(scene: ls.Scene) -> None:
     """Lens samples follow the seed of the frame, whatever other settings are given."""
     camera = replace(front_camera(), aperture=0.2, focus_distance=4.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, samples=2, seed=7)

@@ -83,7 +83,7 @@ def test_realtime_brightness_does_not_depend_on_the_distance_from_the_origin() -
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 @pytest.mark.parametrize("unit", [1e-3, 1e-5, 1e3])
-def test_frames_do_not_depend_on_the_unit_of_length_in_all_pipelines(pipeline: ls.Pipeline, unit: float) -> None:
+def test_frames_of_every_pipeline_are_equal_for_any_unit_of_length(pipeline: ls.Pipeline, unit: float) -> None:
     """Scenes in millimetres or micrometres are not clipped by a near plane of 0.01 units."""
     np.testing.assert_allclose(shown(pipeline, *lit(unit=unit)), shown(pipeline, *lit()), atol=1e-3)
 

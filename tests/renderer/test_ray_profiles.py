@@ -36,7 +36,7 @@ def profiled(scene: ls.Scene, origins: np.ndarray, directions: np.ndarray, **tra
 
 
 @pytest.mark.parametrize("order", ["peak", "mean", "hull"])
-def test_lists_of_gaussians_along_queried_rays_equal_the_float64_twin(order: str) -> None:
+def test_lists_of_gaussians_along_queried_rays_equal_the_float64_reference(order: str) -> None:
     """Index, distance, alpha and transmittance of each Gaussian are equal up to float32 rounding."""
     origins, directions = some_rays(150)
     profile = profiled(MIXED, origins, directions, hit_distance=order)

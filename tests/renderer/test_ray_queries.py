@@ -127,7 +127,7 @@ def test_ray_query_uses_a_single_origin_for_all_directions() -> None:
     np.testing.assert_array_equal(one.radiance, many.radiance)
 
 
-def test_queries_of_zero_rays_and_zero_transmittances_raise_no_error() -> None:
+def test_ray_and_transmittance_queries_of_zero_rays_raise_no_error() -> None:
     """The functions return empty arrays."""
     hits = ls.trace_rays(ls.Scene([stack(0.5)]), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu")
     assert len(hits) == 0 and hits.radiance.shape == (0, 3)

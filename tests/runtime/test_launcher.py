@@ -110,7 +110,9 @@ def test_buffers_grow_for_larger_requests_and_never_shrink() -> None:
     assert buffers.allocations == 2
 
 
-def test_memory_limits_are_read_only_before_allocating_large_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_limits_are_queried_before_large_allocations_and_not_before_small_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A frame allocates many small arrays, and reading the limits takes longer than rendering a small frame."""
     asked: list[None] = []
     monkeypatch.setattr("lumisplat.runtime.buffers.usable_memory", lambda: asked.append(None))

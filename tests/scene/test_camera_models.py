@@ -69,7 +69,7 @@ def test_rays_of_an_orthographic_camera_are_parallel() -> None:
 
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
-def test_scaled_keeps_the_view_of_every_camera_model(model: ls.CameraModel) -> None:
+def test_camera_method_scaled_keeps_the_view_for_every_camera_model(model: ls.CameraModel) -> None:
     """With twice as many pixels, the mean of four new rays equals the ray of the old pixel; lens and shutter stay."""
     end = posed(rotation((0.0, 1.0, 0.0), 0.1))
     camera = front_camera(
@@ -92,7 +92,7 @@ def frame_of(camera: ls.Camera, depth: np.ndarray) -> ls.Frame:
 
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
-def test_depth_z_of_a_plane_facing_any_camera_model_is_constant(model: ls.CameraModel) -> None:
+def test_depth_z_of_a_plane_that_faces_the_camera_is_constant_for_any_camera_model(model: ls.CameraModel) -> None:
     """A plane at view depth 3 has depth_z 3 at every pixel, and behind a fisheye depth_z is negative."""
     camera = front_camera(24, 20, 6.0, model=model)
     z = camera.ray_directions()[..., 2]
@@ -125,7 +125,9 @@ def test_depth_z_of_a_plane_facing_any_camera_model_is_constant(model: ls.Camera
         ({"camera_from_world_end": np.diag([-1.0, 1.0, -1.0, 1.0])}, "rotated by 180 degrees from camera_from_world"),
     ],
 )
-def test_camera_refuses_invalid_lenses_and_shutters_naming_the_value(changes: dict[str, Any], message: str) -> None:
+def test_error_for_an_invalid_lens_or_shutter_of_a_camera_names_the_value(
+    changes: dict[str, Any], message: str
+) -> None:
     """The error names the value and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message) as raised:
         front_camera(**changes)
@@ -140,7 +142,7 @@ def test_camera_refuses_invalid_lenses_and_shutters_naming_the_value(changes: di
         (ORTHOGRAPHIC, 3.2, "fov_y is 3.2, expected radians between 0 and pi"),
     ],
 )
-def test_look_at_refuses_fields_of_view_beyond_the_range_of_the_model(
+def test_camera_look_at_refuses_fields_of_view_impossible_for_its_camera_model(
     model: ls.CameraModel, fov_y: float, message: str
 ) -> None:
     """A fisheye's field of view is at most a full turn."""
@@ -156,7 +158,7 @@ def test_camera_look_at_focuses_on_its_target_by_default() -> None:
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(-3.0, 3.0), st.floats(0.0, 6.0))
-def test_shutter_rotation_and_motion_lead_from_the_first_pose_to_the_last(
+def test_shutter_rotation_and_motion_take_a_camera_from_its_first_to_its_last_pose(
     axis: tuple[float, float, float], angle: float, start: float
 ) -> None:
     """The first pose rotated by ``shutter_rotation`` is the last one, and the eye moves by ``shutter_motion``."""
@@ -205,7 +207,7 @@ def test_raster_and_realtime_refuse_camera_features_they_do_not_support(changes:
         refuse_lens(replace(camera, **changes), ls.Pipeline.RASTER, ls.config.Projection.UNSCENTED)
 
 
-def test_raster_depth_and_ray_directions_give_the_same_depth_z() -> None:
+def test_depth_z_of_a_rasterised_flat_gaussian_facing_the_camera_is_constant() -> None:
     """A flat Gaussian off the axis, facing the camera, has the same depth_z at all its pixels."""
     scene = ls.Scene([one_gaussian((0.9, -0.7, 3.0), (0.3, 0.3, 1e-4), 0.9)])
     frame = ls.render(scene, front_camera(), device="cpu")

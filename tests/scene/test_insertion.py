@@ -123,7 +123,7 @@ def test_inserted_mesh_may_stand_on_a_shadow_catcher_plane() -> None:
 
 
 @pytest.mark.parametrize(("height", "spread"), [(0.5, 0.0), (4.0, 0.0), (0.5, 200.0)])
-def test_mesh_inserted_into_a_capture_without_ground_is_in_the_first_view(
+def test_mesh_inserted_into_a_capture_without_ground_is_visible_in_its_first_view(
     height: float, spread: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The whole mesh is visible in front of a captured wall, and a log line reports the missing ground."""
@@ -161,7 +161,7 @@ def test_inserted_mesh_stands_on_a_ground_of_sparse_gaussians(size: float) -> No
     np.testing.assert_allclose(placed[4, [0, 2]], 0.0, atol=1e-6)
 
 
-def test_mesh_inserted_beside_an_object_without_ground_stands_at_its_foot() -> None:
+def test_mesh_inserted_beside_a_captured_object_without_ground_stands_at_its_foot() -> None:
     """A mesh inserted beside a captured block without ground stands as low as the lowest part of the block."""
     whole = capture("y-down", ((0.0, 0.0),))
     block_rows = np.abs(whole.means[:, [0, 2]]).max(axis=1) < 0.52
@@ -178,7 +178,7 @@ def test_mesh_inserted_beside_an_object_without_ground_stands_at_its_foot() -> N
 
 
 @pytest.mark.parametrize(("height", "scaled"), [(1.0, False), (1000.0, True), (0.01, True)])
-def test_inserted_mesh_in_another_unit_is_scaled_and_logged(
+def test_mesh_far_too_large_or_small_for_a_capture_is_scaled_on_insertion_and_logged(
     height: float, scaled: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Meshes in millimetres or kilometres get a quarter of the capture's size; meshes that fit keep their size."""
@@ -231,7 +231,7 @@ def loaded(file: Path) -> ls.Scene:
     return scene
 
 
-def test_scene_file_entry_without_position_stands_upright_and_is_logged(
+def test_scene_file_mesh_entry_without_position_is_placed_upright_and_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """One log line names the entry, and the key that disables placement."""
@@ -249,12 +249,14 @@ def test_scene_file_entry_without_position_stands_upright_and_is_logged(
     "keys",
     ["position = [0, 0, 0]", "rotation_wxyz = [1, 0, 0, 0]", "rotation_degrees = [0, 0, 0]", "upright = false"],
 )
-def test_scene_file_entry_with_a_position_or_rotation_is_not_placed(tmp_path: Path, keys: str) -> None:
+def test_scene_file_mesh_entry_with_a_position_or_rotation_key_is_not_placed_on_the_ground(
+    tmp_path: Path, keys: str
+) -> None:
     """Any key of position or rotation, or ``upright = false``, leaves the mesh as in its file."""
     np.testing.assert_array_equal(loaded(scene_file(tmp_path, keys)).meshes[0].transform, np.eye(4))
 
 
-def test_scene_file_entry_with_ground_false_keeps_its_height(tmp_path: Path) -> None:
+def test_scene_file_mesh_entry_with_ground_false_stands_upright_at_its_own_height(tmp_path: Path) -> None:
     """With ``ground = false``, the mesh stands upright about the origin of its file."""
     transform = loaded(scene_file(tmp_path, "ground = false")).meshes[0].transform
     np.testing.assert_allclose(transform, np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-12)
@@ -274,7 +276,7 @@ def test_meshes_of_a_saved_scene_file_keep_their_transforms(tmp_path: Path) -> N
     np.testing.assert_array_equal(loaded(tmp_path / "opened.toml").meshes[0].transform, seen.transform)
 
 
-def test_actors_of_a_scene_file_without_positions_do_not_overlap(tmp_path: Path) -> None:
+def test_actors_without_positions_in_a_scene_file_are_placed_without_overlap(tmp_path: Path) -> None:
     """Two actors of one file stand beside each other in a scene file with captures."""
     file = scene_file(tmp_path, "position = [3.0, 0.0, 3.0]")
     file.write_text(file.read_text() + '[[actors]]\npath = "cone.obj"\nform = "mesh"\n' * 2)
@@ -296,7 +298,7 @@ def test_front_axis_of_an_inserted_mesh_faces_the_front_camera(tmp_path: Path, f
         ls.insert(ground, cone(), front="z")
 
 
-def test_scene_file_entry_with_only_a_front_axis_stands_upright(tmp_path: Path) -> None:
+def test_scene_file_mesh_entry_with_no_placement_key_but_front_stands_upright(tmp_path: Path) -> None:
     """A mesh with only a front axis is upright and rotated, also in a scene without captures."""
     scene_file(tmp_path, "")
     file = tmp_path / "meshes.toml"
@@ -312,7 +314,7 @@ def test_scene_file_entry_with_only_a_front_axis_stands_upright(tmp_path: Path) 
     [("position = [0, 0, 0]", True), ("ground = 0.5", True), ("position = [0, 0, 0]\nupright = false", False),
      ("position = [0, 0, 0]\nrotation_wxyz = [1, 0, 0, 0]", False), ("position = [0, 0, 0]\nfront = '-z'", False)],
 )  # fmt: skip
-def test_scene_file_entry_with_a_position_but_no_rotation_is_logged(
+def test_scene_file_mesh_entry_with_a_position_but_no_rotation_logs_a_hint_about_upright(
     tmp_path: Path, keys: str, is_logged: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """If the file's y is not up in the scene, one log line suggests ``upright``; explicit rotations log nothing."""

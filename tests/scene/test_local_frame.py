@@ -31,7 +31,9 @@ def ball(size: float = 1.0, count: int = 300) -> ls.Gaussians:
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
 @pytest.mark.parametrize("unit", [1.0, 1000.0, 1e-3])
-def test_local_frame_changes_no_projection_of_a_camera(model: ls.CameraModel, unit: float) -> None:
+def test_points_and_cameras_in_the_local_frame_project_to_the_pixels_of_world_space(
+    model: ls.CameraModel, unit: float
+) -> None:
     """World points and their local points project to the same pixels, and poses convert back."""
     eye = UTM + np.array([1.0, 2.0, 3.0])
     camera = ls.Camera.look_at(eye, UTM, (0, 0, 1), model=model, width=64, height=48, near=0.5)
@@ -50,7 +52,7 @@ def test_local_frame_changes_no_projection_of_a_camera(model: ls.CameraModel, un
     np.testing.assert_allclose(frame.world_pose(local.camera_from_world), camera.camera_from_world, atol=1e-8)
 
 
-def test_scene_near_the_origin_is_rendered_in_world_space() -> None:
+def test_scene_near_the_world_origin_is_rendered_without_a_local_frame() -> None:
     """A scene a few times its size away from the origin is used without a copy."""
     scene = ls.Scene([ls.SplatInstance(ball(), position=(3.0, -2.0, 5.0))])
     frame, near = rendered_frame(scene)
@@ -60,7 +62,7 @@ def test_scene_near_the_origin_is_rendered_in_world_space() -> None:
     assert rendered_frame(ls.Scene())[1] == NEAR_PLANE
 
 
-def test_origin_of_the_local_frame_stays_while_objects_move() -> None:
+def test_origin_of_the_local_frame_of_a_scene_stays_while_its_objects_move() -> None:
     """One origin serves all positions of a moving object; lights and captures are shifted alike in float64."""
     origins = set()
     for step in np.linspace(0.0, 3.0, 7):
@@ -82,7 +84,7 @@ def test_origin_of_the_local_frame_stays_while_objects_move() -> None:
             np.testing.assert_array_equal(light.position, moved.splats[0].transform[:3, 3])
 
 
-def test_capture_with_means_far_from_its_origin_is_recentred_once() -> None:
+def test_capture_whose_means_are_far_from_its_origin_is_recentred_once_for_all_frames() -> None:
     """Distant float32 means are recentred once, and keep their world positions."""
     far = replace(ball(), means=ball().means + np.float32(65536.0))
     scene = ls.Scene([far])
@@ -93,7 +95,7 @@ def test_capture_with_means_far_from_its_origin_is_recentred_once() -> None:
     np.testing.assert_allclose(first.world_means + frame.origin, scene.splats[0].world_means, rtol=0, atol=1e-9)
 
 
-def test_local_origin_is_needed_at_a_distance_of_many_scene_sizes() -> None:
+def test_scene_needs_a_local_origin_if_it_is_many_times_its_size_from_the_world_origin() -> None:
     """The unit of the scene does not matter; strays and non-finite positions are ignored."""
     points = np.random.default_rng(1).normal(size=(500, 3))
     assert not needed_origin(points + 100.0, 0.05).any()
@@ -107,7 +109,7 @@ def test_local_origin_is_needed_at_a_distance_of_many_scene_sizes() -> None:
     assert not needed_origin(with_outliers, 0.05).any()
 
 
-def test_local_frame_of_cameras_gives_them_the_requested_extent() -> None:
+def test_local_frame_of_training_cameras_has_the_unit_that_gives_the_requested_extent() -> None:
     """The cameras' extent is as requested for any unit; coincident cameras keep the unit."""
     for unit in (1.0, 1000.0, 1e-3):
         eyes = unit * (UTM + np.random.default_rng(1).normal(size=(6, 3)))
@@ -118,7 +120,7 @@ def test_local_frame_of_cameras_gives_them_the_requested_extent() -> None:
     assert LocalFrame.of_cameras(one, 4.4).unit == 1.0
 
 
-def test_gaussians_of_a_local_frame_return_to_their_world_positions() -> None:
+def test_gaussians_converted_back_from_a_local_frame_have_their_world_positions() -> None:
     """Gaussians keep their world positions, with an origin only where float32 needs one."""
     for origin, unit, needs in ((UTM, 2.0, True), (np.array([1.0, 2.0, 3.0]), 2.0, False)):
         back = LocalFrame(origin, unit).gaussians(ball())
@@ -134,7 +136,7 @@ def test_default_near_plane_is_halved_until_it_fits_the_scene_size() -> None:
     assert default_near(10.0) == default_near(1e9) == default_near(0.0) == NEAR_PLANE
 
 
-def test_blocks_of_a_capture_share_the_local_frame_of_the_whole(tmp_path: Path) -> None:
+def test_each_block_of_a_capture_is_rendered_in_the_local_frame_of_the_whole_capture(tmp_path: Path) -> None:
     """Each block of a capture gets the origin and near plane of the whole capture."""
     whole = ls.transform(ball(4.0), translation=(100.0, 0.0, 0.0))
     index = ls.io.write_blocks(tmp_path / "blocks", [whole], cell=1.0)

@@ -36,7 +36,7 @@ def test_merge_drops_optional_arrays_that_some_captures_lack() -> None:
     assert merge_gaussians([make(2, 1), make(3, 1, albedo=False)]).albedo is None
 
 
-def test_merge_keeps_settings_that_all_captures_share() -> None:
+def test_merged_capture_has_the_settings_that_all_merged_captures_share() -> None:
     """Settings that all sets share are those of the merged set and of its subsets."""
     both = merge_gaussians([replace(make(2, 1), kernel_degree=4, antialiased=True)] * 2)
     assert (both.kernel_degree, both.antialiased) == (4, True)
@@ -53,7 +53,9 @@ def test_merge_refuses_empty_lists_and_captures_of_different_kernels() -> None:
         merge_gaussians([make(1, 1), replace(make(1, 1), kernel_degree=0)])
 
 
-def test_opaque_captures_merge_whatever_their_antialiasing(caplog: pytest.LogCaptureFixture) -> None:
+def test_opaque_captures_can_be_merged_with_captures_of_another_antialiased_flag(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """Opacity 1 means the same with and without dilation; lower opacities of trained captures do not."""
     opaque = replace(make(2, 1), opacities=np.full(2, 0.995, np.float32), antialiased=True)
     both = merge_gaussians([make(3, 1), opaque])

@@ -49,7 +49,7 @@ def test_look_at_argument_points_the_front_of_a_mesh_at_the_target():
     ("front", "axis"), [("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("+x", (1, 0, 0)), ("-x", (-1, 0, 0))]
 )
 @pytest.mark.parametrize("up", ["y-down", "z-up"])
-def test_chosen_front_axis_points_at_the_target_without_mirroring(front, axis, up):
+def test_axis_chosen_as_a_meshs_front_points_at_the_target_without_mirroring(front, axis, up):
     """The chosen axis points at the target or the front camera; the top stays up, and nothing is mirrored."""
     scene = ls.Scene(up=up)
     upward = np.array(scene.up_direction)
@@ -62,7 +62,7 @@ def test_chosen_front_axis_points_at_the_target_without_mirroring(front, axis, u
     assert np.linalg.det(ls.MeshInstance(BOX, up=up, front=front).transform[:3, :3]) == pytest.approx(1.0)
 
 
-def test_front_key_of_a_scene_file_equals_the_front_argument(tmp_path):
+def test_front_key_of_a_scene_file_acts_like_the_front_argument_in_python(tmp_path):
     """The key ``front`` of a scene file gives the same transform as the argument of an instance."""
     scene = load_scene(
         tmp_path,
@@ -74,7 +74,7 @@ def test_front_key_of_a_scene_file_equals_the_front_argument(tmp_path):
         np.testing.assert_array_equal(one.transform, ls.MeshInstance(BOX, up="y-up", **words).transform)
 
 
-def test_splat_instances_take_the_placement_arguments_of_mesh_instances():
+def test_splat_instances_accept_the_same_placement_arguments_as_mesh_instances():
     """Position, rotation and scale place the Gaussians, and a replaced transform replaces the placement."""
     splat = ls.SplatInstance(one_gaussian((0, 0, 1)), position=(1, 0, 0), rotation_degrees=(0, 90, 0), scale_by=2.0)
     np.testing.assert_allclose(splat.world_means, [(3, 0, 0)], atol=1e-6)
@@ -97,7 +97,7 @@ def test_splat_instances_take_the_placement_arguments_of_mesh_instances():
         ({"look_at": (0, 5, 0)}, "straight above or below"),
     ],
 )
-def test_instances_refuse_invalid_placement_arguments_in_one_line(words, message):
+def test_instances_refuse_invalid_placement_arguments_with_a_one_line_error(words, message):
     """Mesh instances and splat instances refuse the same arguments."""
     with pytest.raises(ls.SceneError, match=message):
         ls.MeshInstance(BOX, **words)
@@ -106,7 +106,7 @@ def test_instances_refuse_invalid_placement_arguments_in_one_line(words, message
 
 
 @pytest.mark.parametrize("up", [*ls.Scene.UP_NAMES, (0.2, -0.9, 0.1)])
-def test_stand_on_ground_moves_an_instance_only_along_up(up):
+def test_stand_on_ground_moves_an_instance_along_the_up_direction_and_not_sideways(up):
     """The lowest point is at the height along up, and only the vertical position changes."""
     instance = ls.MeshInstance(BOX, position=(3, 4, 5), rotation_degrees=(20, 30, 40))
     standing = ls.stand_on_ground(instance, 1.5, up=up)
@@ -139,12 +139,12 @@ def test_spot_and_directional_lights_point_at_their_target(light, direction):
     assert replace(light, intensity=3.0).direction == light.direction
 
 
-def test_disk_light_faces_its_target_like_a_spot_light():
+def test_disk_light_given_a_target_shines_in_the_direction_of_the_target():
     """A disk light faces its target like a spot light."""
     np.testing.assert_allclose(ls.LightDisk((0, 4, 0), target=(3, 0, 0)).direction, (0.6, -0.8, 0.0), atol=1e-6)
 
 
-def test_rect_light_faces_its_target_with_a_level_width():
+def test_rect_light_given_a_target_faces_it_with_a_horizontal_edge():
     """A rect light faces its target with a level width."""
     light = ls.LightRect((0, 4, 0), target=(3, 0, 0), size=(2, 0.5))
     np.testing.assert_allclose(np.cross(light.edge_u, light.edge_v), np.array((0.6, -0.8, 0.0)), atol=1e-6)
@@ -166,7 +166,7 @@ def test_rect_light_faces_its_target_with_a_level_width():
         (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0), size=(1, 0)), "size is"),
     ],
 )
-def test_lights_refuse_invalid_targets_in_one_line(make, message):
+def test_lights_refuse_invalid_targets_with_a_one_line_error(make, message):
     """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         make()
@@ -201,7 +201,7 @@ size = [1, 2]
 """
 
 
-def test_scene_file_keys_place_shapes_and_aim_lights_like_arguments(tmp_path):
+def test_placement_and_target_keys_of_a_scene_file_act_like_arguments_in_python(tmp_path):
     """Scene files accept built-in shapes, angles in degrees, the ground along the file's up, and light targets."""
     scene = load_scene(tmp_path, FILE)
     first, second = scene.meshes
@@ -228,7 +228,7 @@ def test_scene_file_keys_place_shapes_and_aim_lights_like_arguments(tmp_path):
         ("target = [3, 0, 0]", "target = [0, -4, 0]", "target of a spot is at its position"),
     ],
 )
-def test_scene_file_refuses_invalid_placement_keys_naming_the_line(tmp_path, old, new, message):
+def test_error_for_an_invalid_placement_key_of_a_scene_file_names_its_line(tmp_path, old, new, message):
     """The error names the line of the scene file."""
     with pytest.raises(ls.FormatError) as caught:
         load_scene(tmp_path, FILE.replace(old, new, 1))
@@ -265,7 +265,7 @@ def test_built_in_shapes_have_the_requested_bounds_and_volume():
             wrong()
 
 
-def test_smooth_normals_of_a_mesh_break_at_creases():
+def test_smoothed_mesh_normals_are_discontinuous_at_creases_above_the_crease_angle():
     """A box stays faceted, a sphere becomes smooth, and a crease angle of 0 gives no normals."""
     sharp = ls.editing.smooth_normals(replace(BOX, normals=None))
     assert sharp.normals is not None

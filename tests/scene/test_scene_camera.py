@@ -60,7 +60,7 @@ def test_camera_look_at_centres_the_target_with_up_upward(eye: tuple[float, ...]
         ({"camera_from_world": np.full((4, 4), np.nan)}, "non-finite"),
     ],
 )
-def test_camera_refuses_invalid_values_naming_each(changes: dict[str, Any], message: str) -> None:
+def test_error_for_an_invalid_camera_value_names_the_value(changes: dict[str, Any], message: str) -> None:
     """The error names the value and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message):
         front_camera(**changes)

@@ -90,7 +90,7 @@ def test_normalising_quaternions_and_normals_twice_changes_no_bits() -> None:
         ({"metallic": [0.0, np.nan]}, "metallic has 1 non-finite"),
     ],
 )
-def test_gaussians_refuse_invalid_arrays_naming_the_property(changes: dict[str, Any], message: str) -> None:
+def test_error_for_an_invalid_array_of_gaussians_names_the_property(changes: dict[str, Any], message: str) -> None:
     """The error names the property, the number of invalid values and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message) as caught:
         ls.Gaussians(**fields(**changes))

@@ -147,13 +147,15 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightEnvironment, {"visible": "no"}, "visible is 'no', expected True or False"),
     ],
 )
-def test_lights_refuse_invalid_values_naming_each(kind: type, changes: dict[str, Any], message: str) -> None:
+def test_error_for_an_invalid_value_of_a_light_names_the_value(
+    kind: type, changes: dict[str, Any], message: str
+) -> None:
     """The error names the invalid value."""
     with pytest.raises(ls.SceneError, match=message):
         kind(**(REQUIRED[kind] | changes))
 
 
-def test_scene_accepts_only_one_enabled_environment_light() -> None:
+def test_scene_refuses_a_second_enabled_environment_light() -> None:
     """Further environments must be disabled; the number of other lights is not limited."""
     on, off = ls.LightEnvironment(), ls.LightEnvironment(enabled=False)
     lights = [on, off, ls.LightPoint(ORIGIN), ls.LightPoint(ORIGIN)]

@@ -20,14 +20,14 @@ def test_one_number_as_material_colour_sets_all_three_channels() -> None:
     assert ls.MaterialPbr(base_color=np.float32(0.5)).base_color == (0.5, 0.5, 0.5)
 
 
-def test_default_simple_material_emits_the_captured_colours_only() -> None:
+def test_default_simple_material_emits_captured_colours_and_reflects_no_light() -> None:
     """A capture with the default material looks like one without material: emission is 1, and no light is reflected."""
     material = ls.MaterialSimple()
     assert material.emissive == material.base_color == (1.0, 1.0, 1.0)
     assert material.ambient == material.diffuse == material.specular == (0.0, 0.0, 0.0)
 
 
-def test_only_pbr_materials_of_roughness_0_are_smooth() -> None:
+def test_pbr_materials_of_roughness_0_are_smooth_and_no_other_materials() -> None:
     """Only PBR materials with roughness 0 reflect or refract rays."""
     assert ls.MaterialPbr(roughness=0.0).is_smooth
     assert not ls.MaterialPbr(roughness=1e-3).is_smooth
@@ -38,7 +38,7 @@ def test_only_pbr_materials_of_roughness_0_are_smooth() -> None:
     "name",
     [f"{kind}_texture" for kind in ("base_color", "metallic_roughness", "normal", "occlusion", "emissive")],
 )
-def test_materials_copy_and_freeze_their_textures(name: str) -> None:
+def test_materials_hold_read_only_copies_of_their_textures(name: str) -> None:
     """Each texture is copied and frozen, and must be 8-bit RGB or RGBA."""
     texels = TEXELS.copy()
     stored = getattr(replace(ls.MaterialPbr(), **{name: texels}), name)

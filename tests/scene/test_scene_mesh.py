@@ -62,7 +62,7 @@ def test_mesh_normalises_normals_and_fills_missing_ones() -> None:
         ({"colors": np.full((3, 3), 255)}, "colors: 3 of 3 are outside 0..1"),
     ],
 )
-def test_mesh_refuses_invalid_arrays_naming_the_array(changes: dict[str, Any], message: str) -> None:
+def test_error_for_an_invalid_array_of_a_mesh_names_the_array(changes: dict[str, Any], message: str) -> None:
     """The error states what the array has and what was expected, in one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Mesh(**{"positions": CORNERS, "indices": FACES} | changes)
@@ -101,7 +101,7 @@ def test_mesh_keeps_small_and_thin_triangles(size: float, caplog: pytest.LogCapt
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_triangles_with_collinear_corners_have_no_area(seed: int) -> None:
+def test_triangles_with_collinear_corners_count_as_without_area(seed: int) -> None:
     """Corners at whole multiples of a step along any line have no area."""
     rng = np.random.default_rng(seed)
     step, start = rng.integers(-999, 999, (2, 500, 1, 3))
@@ -110,7 +110,7 @@ def test_triangles_with_collinear_corners_have_no_area(seed: int) -> None:
     assert (check.without_area, check.out_of_range) == (500, 0)
 
 
-def test_rounding_to_float64_gives_collinear_triangles_no_area() -> None:
+def test_collinear_triangles_count_as_without_area_despite_float64_rounding() -> None:
     """Collinear corners have no area, even if float64 rounding gives a small one."""
     step = np.random.default_rng(3).integers(2**21, 2**22, (500, 1, 3))
     corners = (step * [[2.0**-40], [1.0], [3.0]]).astype(np.float32)

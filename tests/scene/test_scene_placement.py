@@ -9,7 +9,7 @@ import lumisplat as ls
 from support.scenes.raster_scenes import quad, random_gaussians, rotation, similarity
 
 
-def test_splat_instance_keeps_a_similarity_transform_and_reports_its_scale() -> None:
+def test_splat_instance_stores_a_similarity_transform_unchanged_and_reports_its_scale() -> None:
     """A splat instance keeps rotation, uniform scale and translation, and reports its scale."""
     matrix = similarity((1.0, 2.0, 3.0), 0.7, 2.5, (1.0, 0.0, -4.0))
     instance = ls.SplatInstance(random_gaussians(0, 3), matrix)
@@ -37,7 +37,7 @@ TURN = similarity((1.0, 2.0, 3.0), 0.7, 3.0, (0.0, 0.0, 0.0))[:3, :3]
         (np.diag([1.0, -2.0, 1.0]), r"mirrors \(determinant -2\) and scales the axes by 1, 2 and 1"),
     ],
 )
-def test_splat_instance_refuses_all_transforms_but_similarities(linear: np.ndarray, reason: str) -> None:
+def test_splat_instance_refuses_transforms_that_are_no_similarities(linear: np.ndarray, reason: str) -> None:
     """The error reports the scales, angles or determinant; a mesh instance accepts any invertible transform."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear

@@ -15,7 +15,7 @@ from support.kinds import present
 ROTATION = ls.SplatInstance(capture(1), rotation_degrees=(90.0, 0.0, 0.0)).transform
 
 
-def test_up_of_a_scene_comes_from_the_scene_then_captures_then_a_guess() -> None:
+def test_up_direction_of_a_scene_is_its_own_or_else_of_its_capture_or_else_a_guess() -> None:
     """``up_source`` reports which of them was used."""
     plain, tilted = capture(5), replace(capture(5), up=(0.0, 1.0, 1.0))
     assert (ls.Scene([plain]).up_direction, ls.Scene([plain]).up_source) == ((0.0, -1.0, 0.0), "guess")
@@ -27,7 +27,7 @@ def test_up_of_a_scene_comes_from_the_scene_then_captures_then_a_guess() -> None
     assert (given.up_direction, given.up_source) == ((0.0, 0.0, 1.0), "scene")
 
 
-def test_up_and_first_view_of_a_capture_rotate_with_its_instance() -> None:
+def test_up_direction_and_first_view_of_a_capture_rotate_with_its_instance() -> None:
     """A rotated instance rotates its capture's up and first view."""
     view = ls.Camera.look_at((0.0, 0.0, 4.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
     instance = ls.SplatInstance(replace(capture(5), up="y-up", first_view=view), ROTATION)
@@ -37,7 +37,7 @@ def test_up_and_first_view_of_a_capture_rotate_with_its_instance() -> None:
     assert ls.Scene([capture(2)]).first_view is None
 
 
-def test_captures_refuse_an_invalid_up_or_first_view() -> None:
+def test_captures_refuse_an_invalid_up_direction_or_first_camera_view() -> None:
     """An invalid up is refused by name, and a first view must be a camera."""
     with pytest.raises(ls.SceneError, match="up is 'sideways'"):
         replace(capture(1), up="sideways")
@@ -46,7 +46,7 @@ def test_captures_refuse_an_invalid_up_or_first_view() -> None:
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "a.glb"])
-def test_scene_file_without_up_takes_the_up_of_its_capture(tmp_path: Path, name: str) -> None:
+def test_scene_file_without_an_up_key_has_the_up_direction_of_its_capture(tmp_path: Path, name: str) -> None:
     """The up follows the entry's rotation; the scene file's own up takes precedence; ``upright`` entries give no up."""
     ls.save(tmp_path / name, replace(capture(5), up="z-up"))
     file = tmp_path / "scene.toml"

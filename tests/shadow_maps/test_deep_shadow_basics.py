@@ -71,7 +71,7 @@ def test_deep_shadow_maps_accept_sets_instances_scenes_and_lists_as_casters() ->
         np.testing.assert_allclose(behind(given), expected, atol=2e-5)
 
 
-def test_scaled_instance_casts_the_deep_shadow_of_its_size() -> None:
+def test_deep_shadow_of_a_scaled_capture_instance_equals_that_of_a_capture_of_that_size() -> None:
     """A set of half the size, scaled by two, casts the shadow of the original set."""
     half = replace(ball(), scales=ball().scales * np.float32(0.5))
     np.testing.assert_allclose(behind(ls.SplatInstance(half, np.diag([2.0, 2.0, 2.0, 1.0]))), behind(ball()), atol=1e-6)
@@ -116,7 +116,7 @@ def test_deep_shadow_map_converts_a_moving_mesh_to_gaussians_once(sampled: list[
     assert sampled == [sphere]
 
 
-def test_deep_shadow_map_keeps_the_gaussians_of_a_deforming_mesh(sampled: list[ls.Mesh]) -> None:
+def test_deep_shadow_map_samples_a_deforming_mesh_once_and_moves_its_gaussians(sampled: list[ls.Mesh]) -> None:
     """Poses with the same triangles are one surface, whose Gaussians follow the pose."""
     sphere = icosphere(radius=0.5)
     moved = replace(sphere, positions=sphere.positions * np.array([8.0, 1.0, 1.0], np.float32), normals=None)
@@ -129,7 +129,7 @@ def test_deep_shadow_map_keeps_the_gaussians_of_a_deforming_mesh(sampled: list[l
     np.testing.assert_array_equal(shadow.transmittance(BEHIND), behind(sphere))
 
 
-def test_mesh_that_reappears_casts_the_same_deep_shadow(sampled: list[ls.Mesh]) -> None:
+def test_mesh_that_disappears_and_returns_casts_the_same_deep_shadow(sampled: list[ls.Mesh]) -> None:
     """Earlier frames of an animation do not change a frame."""
     sphere = icosphere(radius=0.5)
     moved = replace(sphere, positions=sphere.positions * np.array([3.0, 1.0, 1.0], np.float32), normals=None)
@@ -155,7 +155,7 @@ def test_deep_shadow_map_caches_a_bounded_number_of_meshes(monkeypatch: pytest.M
     assert list(turned._surfaces) == [id(mesh.indices) for mesh in shown[-3:]]
 
 
-def test_light_at_the_centre_of_a_caster_passes_half_its_optical_depth() -> None:
+def test_light_at_the_centre_of_a_gaussian_passes_half_the_gaussians_optical_depth() -> None:
     """The transmittance is equal in all directions."""
     points = np.array([[3.0, 0.0, 0.0], [0.0, -3.0, 0.0], [-1.0, 2.0, 1.5]], np.float32)
     config = replace(SMALL, bins=256)
@@ -173,7 +173,7 @@ def test_deep_shadow_map_of_a_sun_includes_casters_at_any_distance() -> None:
 
 
 @pytest.mark.parametrize("receivers", [np.empty((0, 3)), []], ids=["array", "list"])
-def test_deep_shadow_map_with_empty_receivers_warns_and_is_lit(
+def test_deep_shadow_map_with_an_empty_receiver_list_logs_a_warning_and_shadows_nothing(
     receivers: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The transmittance is 1 everywhere."""
@@ -185,7 +185,9 @@ def test_deep_shadow_map_with_empty_receivers_warns_and_is_lit(
     shadow.rebuild(ball())
 
 
-def test_region_radius_of_a_deep_shadow_map_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture) -> None:
+def test_receivers_beyond_the_region_radius_of_a_deep_shadow_map_are_not_shadowed(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """A warning is logged if no receiver is within the radius."""
     points = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 4.0]], np.float32)
     config = replace(SMALL, region_radius=2.0)
@@ -197,7 +199,7 @@ def test_region_radius_of_a_deep_shadow_map_leaves_far_receivers_lit(caplog: pyt
     assert "no receivers are near" in caplog.text or "no receivers near" in caplog.text
 
 
-def test_region_radius_of_a_deep_shadow_map_keeps_ground_under_tall_casters() -> None:
+def test_region_radius_of_a_deep_shadow_map_includes_the_ground_at_the_foot_of_casters() -> None:
     """With a radius of 1.5, a column of 8 units casts its shadow on the floor at its foot."""
     heights = np.linspace(0.0, 8.0, 81)
     means = np.stack([np.zeros(81), np.zeros(81), heights], axis=1)
@@ -208,7 +210,7 @@ def test_region_radius_of_a_deep_shadow_map_keeps_ground_under_tall_casters() ->
     assert shadow.transmittance(points[:1])[0] < 0.5
 
 
-def test_region_radius_of_a_deep_shadow_map_does_not_change_near_receivers() -> None:
+def test_receivers_within_the_region_radius_of_a_deep_shadow_map_keep_their_shadow() -> None:
     """Near receivers sample the same points as without a radius, whatever their index."""
     receivers, casters = random_gaussians(4, 400, extent=(6.0, 6.0, 1.0)), random_gaussians(5, 40)
     whole, part = (
@@ -274,7 +276,9 @@ def test_saved_deep_shadow_map_equals_the_original_and_can_be_rebuilt(light: Any
 
 
 @pytest.mark.parametrize("culling", [True, False])
-def test_loaded_deep_shadow_map_without_receivers_follows_moved_casters(culling: bool, tmp_path: Path) -> None:
+def test_deep_shadow_map_loaded_without_receivers_covers_moved_casters_after_a_rebuild(
+    culling: bool, tmp_path: Path
+) -> None:
     """A rebuild for casters elsewhere computes another region."""
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, None, replace(SMALL, culling=culling), device="cpu")
     shadow.save(tmp_path / "map.npz")
@@ -332,7 +336,7 @@ def _tampered(header: dict[str, Any], **changes: Any) -> np.ndarray:
     return np.frombuffer(json.dumps(header | changes).encode(), np.uint8)
 
 
-def test_deep_shadow_map_file_with_a_changed_byte_is_refused_or_read(tmp_path: Path) -> None:
+def test_deep_shadow_map_file_with_a_changed_byte_raises_at_most_a_one_line_error(tmp_path: Path) -> None:
     """No exception other than Lumisplat's is raised."""
     path, rng = tmp_path / "map.npz", np.random.default_rng(0)
     ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu").save(path)
@@ -386,14 +390,16 @@ def test_invalid_arguments_of_deep_shadow_maps_are_refused(given: dict[str, Any]
         {"absorption": "average"},
     ],
 )
-def test_invalid_settings_of_deep_shadow_maps_are_refused_with_their_range(changes: dict[str, Any]) -> None:
+def test_error_for_an_invalid_setting_of_deep_shadow_maps_states_its_range(changes: dict[str, Any]) -> None:
     """The message gives the expected range."""
     with pytest.raises(ls.ConfigError, match=next(iter(changes))):
         ls.config.DeepShadowConfig(**changes)
 
 
 @pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
-def test_unshadowed_receivers_of_a_deep_shadow_map_get_exactly_1(sampling: ls.config.ReceiverSampling) -> None:
+def test_transmittance_of_unshadowed_receivers_of_a_deep_shadow_map_is_exactly_1(
+    sampling: ls.config.ReceiverSampling,
+) -> None:
     """Lit captures must keep their colours to the bit."""
     receivers = random_gaussians(6, 500, center=(40.0, 0.0, 4.0))
     config = replace(SMALL, sampling=sampling)

@@ -95,7 +95,7 @@ def test_deep_shadow_of_thin_and_far_casters_matches_the_closed_form(
     assert seen.min() < 0.7
 
 
-def test_deep_shadow_map_lookups_match_the_float64_twin() -> None:
+def test_deep_shadow_map_lookups_match_the_float64_reference() -> None:
     """Trilinear lookups cover the fold and corners of the square map, and points outside the first and last bin."""
     config = replace(WHOLE, resolution=16, bins=8, max_distance=3.0)
     points = scattered(3000, radius=4.0)
@@ -119,7 +119,7 @@ def test_error_of_a_deep_shadow_map_decreases_with_resolution(layout: ls.config.
 
 
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
-def test_errors_of_a_deep_shadow_map_at_atlas_seams_are_no_larger(layout: ls.config.AtlasLayout) -> None:
+def test_errors_of_a_deep_shadow_map_are_no_larger_at_atlas_seams_than_elsewhere(layout: ls.config.AtlasLayout) -> None:
     """Errors on circles over the rim of the square map, or over edges of the cube, are as small as elsewhere."""
     rotation = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
     circles = [
@@ -159,7 +159,9 @@ def test_tile_culling_does_not_change_a_deep_shadow_map(
     np.testing.assert_allclose(culled.transmittance(points), every.transmittance(points), atol=3e-5)
 
 
-def test_caster_lists_summed_in_parts_equal_whole_lists_in_a_deep_shadow_map(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_deep_shadow_map_is_equal_if_several_threads_sum_parts_of_a_caster_list(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Several CUDA threads sum parts of a cell's casters in the order of the list."""
     config = replace(WHOLE, bins=16, max_distance=None)
     whole = build(config=config)
@@ -182,7 +184,7 @@ def test_caster_lists_summed_in_parts_equal_whole_lists_in_a_deep_shadow_map(mon
         pytest.param(ls.LightDirectional((0.0, 0.0, 1.0)), id="sun", marks=pytest.mark.deep),
     ],
 )
-def test_deep_shadow_culling_preserves_shadows_that_only_outer_receiver_samples_reach(light: Any) -> None:
+def test_culling_in_a_deep_shadow_map_keeps_shadows_seen_by_outer_receiver_samples_alone(light: Any) -> None:
     """Only the outermost samples of a wide receiver reach the shadow of a small caster."""
     caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)
     rng = np.random.default_rng(0)
@@ -204,7 +206,9 @@ def test_deep_shadow_culling_preserves_shadows_that_only_outer_receiver_samples_
 
 
 @pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
-def test_deep_shadow_map_of_the_receivers_region_equals_the_whole_map(sampling: ls.config.ReceiverSampling) -> None:
+def test_deep_shadow_map_computed_around_the_receivers_alone_equals_the_whole_map(
+    sampling: ls.config.ReceiverSampling,
+) -> None:
     """Results agree to rounding, because bins are summed from the begin of their column."""
     receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0), scale_range=(0.01, 0.2))
     part, whole = (
@@ -232,7 +236,7 @@ def test_rebuilt_deep_shadow_map_equals_a_new_map() -> None:
     assert shadow.bytes == held
 
 
-def test_average_absorption_of_a_deep_shadow_map_is_scale_invariant() -> None:
+def test_deep_shadow_map_with_average_absorption_does_not_depend_on_the_scenes_scale() -> None:
     """Casters, light and receivers ten times as large have the same shadows with the absorption `avg`."""
     points = scattered(500)
     ten = np.diag([10.0, 10.0, 10.0, 1.0])
@@ -248,7 +252,7 @@ def test_deep_shadow_map_does_not_depend_on_the_order_of_casters() -> None:
     np.testing.assert_allclose(build(turned).transmittance(points), build().transmittance(points), atol=1e-5)
 
 
-def test_casters_behind_the_light_or_the_receivers_change_no_deep_shadow_bit() -> None:
+def test_casters_behind_the_light_or_the_receivers_leave_deep_shadows_equal_to_the_bit() -> None:
     """The rays from the light to the receivers end before they reach such casters."""
     points = LIGHT + np.random.default_rng(0).uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 2.0], (500, 3))
     expected = build(receivers=points).transmittance(points)
@@ -283,14 +287,14 @@ def receivers_of(count: int = 40) -> ls.Gaussians:
     return random_gaussians(7, count, center=(0.5, 0.5, 1.0), extent=(1.5, 1.5, 1.5), scale_range=(0.05, 0.6))
 
 
-def test_center_sampling_of_a_deep_shadow_map_reads_the_receivers_mean() -> None:
+def test_center_sampling_reads_a_deep_shadow_map_at_the_mean_of_each_receiver() -> None:
     """The single sample is at the mean of the receiver."""
     shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.CENTER))
     receivers = receivers_of()
     np.testing.assert_array_equal(shadow.transmittance_of(receivers), shadow.transmittance(receivers.means))
 
 
-def test_stencil_sampling_of_a_deep_shadow_map_averages_seven_points() -> None:
+def test_stencil_sampling_averages_a_deep_shadow_map_over_seven_points_of_each_receiver() -> None:
     """The result is the weighted mean of the map at the twin's seven points."""
     shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.STENCIL))
     receivers = receivers_of()
@@ -299,7 +303,7 @@ def test_stencil_sampling_of_a_deep_shadow_map_averages_seven_points() -> None:
     np.testing.assert_allclose(shadow.transmittance_of(receivers), expected, atol=1e-4)
 
 
-def test_monte_carlo_sampling_of_a_deep_shadow_map_converges_to_the_mean() -> None:
+def test_monte_carlo_sampling_of_a_deep_shadow_map_converges_to_the_mean_over_the_receiver() -> None:
     """1024 points are within four standard errors; different seeds give different points."""
     receivers = receivers_of()
     shadow = build(config=replace(WHOLE, samples=1024))

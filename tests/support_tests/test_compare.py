@@ -69,7 +69,7 @@ def test_comparison_outside_a_band_fails_if_the_band_covers_the_image(image: np.
         assert_close_outside_band(image, image, np.ones((20, 30), bool), atol=1.0)
 
 
-def test_similar_images_must_meet_both_the_mean_and_the_share_bound(image: np.ndarray) -> None:
+def test_image_similarity_check_bounds_the_mean_error_and_the_share_of_bad_pixels(image: np.ndarray) -> None:
     """A small error everywhere exceeds the mean bound; a large error in a few pixels exceeds the share bound."""
     with pytest.raises(AssertionError, match="mean absolute"):
         assert_images_alike(image + 0.003, image, mean=0.002, within=0.015, share=0.995)

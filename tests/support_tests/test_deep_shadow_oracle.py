@@ -51,7 +51,7 @@ def assert_as_quadrature(gaussians: Gaussians, origin: np.ndarray, direction: np
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_oracle_optical_depth_equals_the_integral_of_absorption(seed):
+def test_optical_depth_of_the_shadow_oracle_equals_the_integral_of_absorption(seed):
     """Optical depth of random anisotropic Gaussians equals the quadrature before, within and behind them."""
     rng = np.random.default_rng(seed)
     gaussians = random_gaussians(seed, 6, scale_range=(0.01, 1.0))
@@ -73,7 +73,7 @@ def test_oracle_optical_depth_equals_the_integral_of_absorption(seed):
         ((0.1, -0.2, -0.3), 0.3, (0.1, -0.2, 4.0)),  # The Gaussian is behind the light, which is still in its tail.
     ],
 )
-def test_oracle_optical_depth_is_exact_where_floats_cancel(mean, scale, aim):
+def test_optical_depth_of_the_shadow_oracle_is_exact_despite_cancellation(mean, scale, aim):
     """The light is inside, or the Gaussian is thin, distant, grazed by the ray, or behind the light."""
     gaussian = one_gaussian(mean, scale, 0.9, rotation=(0.9999, 0.004, -0.003, 0.002))
     direction = (np.array(aim) - LIGHT) / np.linalg.norm(np.array(aim) - LIGHT)
@@ -82,7 +82,7 @@ def test_oracle_optical_depth_is_exact_where_floats_cancel(mean, scale, aim):
         assert_as_quadrature(gaussian, LIGHT, direction, max(float(t), 1e-3))
 
 
-def test_average_absorption_through_the_centre_reproduces_the_opacity():
+def test_average_absorption_makes_a_gaussian_as_opaque_through_its_centre_as_its_opacity():
     """`Absorption.AVERAGE` gives an isotropic Gaussian the optical depth of its opacity."""
     for scale in (0.01, 0.2):
         field = oracle.absorbers(one_gaussian((0.0, 0.0, 4.0), scale, 0.7))
@@ -125,7 +125,7 @@ def test_differences_of_erf_keep_their_precision_far_from_zero(low, width):
         assert found <= tail
 
 
-def test_transformed_casters_absorb_like_inversely_transformed_lights():
+def test_shadow_of_a_transformed_caster_equals_that_with_an_inversely_transformed_light():
     """A rotated, scaled and moved instance absorbs like its asset with the inversely transformed light."""
     asset = random_gaussians(3, 5)
     placed = SplatInstance(asset, similarity((1.0, 2.0, 0.5), 1.1, 0.7, (-0.4, 0.1, 4.0)))
@@ -176,7 +176,7 @@ def test_octahedral_encoding_is_continuous_on_the_sphere(vector, turn):
     assert min(np.abs(a - c).max() for c in mirrored) < 3e-6
 
 
-def test_octahedral_texels_beyond_an_edge_are_neighbours_on_the_sphere():
+def test_octahedral_texel_index_beyond_an_edge_refers_to_the_neighbour_on_the_sphere():
     """The texel beyond an edge of the square mirrors the last texel in the plane y = 0 or x = 0."""
     size = 16
     centers = oracle.decode_octahedral(oracle.texel_centers(size))
@@ -188,7 +188,7 @@ def test_octahedral_texels_beyond_an_edge_are_neighbours_on_the_sphere():
         assert centers[y, x] == pytest.approx(centers[inside, along] * [-1.0, 1.0, 1.0])
 
 
-def test_octahedral_texels_beyond_a_corner_are_at_the_opposite_corner():
+def test_octahedral_texel_index_beyond_a_corner_refers_to_the_opposite_corner():
     """All four corners are -z, so the texel beyond a corner is at the opposite corner."""
     x, y = oracle.wrapped(np.array([-1, 8, -1, 8]), np.array([-1, -1, 8, 8]), 8)
     assert list(zip(x, y, strict=True)) == [(7, 7), (0, 7), (7, 0), (0, 0)]
@@ -253,7 +253,7 @@ def test_deep_shadow_transmittance_is_1_at_the_light_and_constant_past_the_last_
 # --- Footprints ---
 
 
-def test_stencil_points_lie_on_the_axes_of_the_receiving_gaussian():
+def test_stencil_sampling_points_are_a_gaussians_mean_and_one_scale_along_each_axis():
     """The 7 points are the mean and one scale along each axis in both directions; weights are responses."""
     half = math.sqrt(0.5)
     receiver = one_gaussian(
@@ -267,7 +267,7 @@ def test_stencil_points_lie_on_the_axes_of_the_receiving_gaussian():
     assert weights[1:] / weights[0] == pytest.approx(math.exp(-0.5))
 
 
-def test_several_shadow_casters_absorb_like_their_union():
+def test_shadow_of_several_gaussian_sets_equals_that_of_their_union():
     """Several sets absorb like their union, and an instance without a transform like its set."""
     parts = [one_gaussian((0.0, 0.0, 3.0)), one_gaussian((0.1, 0.0, 4.0), (0.1, 0.3, 0.2))]
     point = np.array([0.05, 0.0, 6.0])

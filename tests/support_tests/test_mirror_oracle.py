@@ -25,7 +25,7 @@ def traced(scene: Scene, ray: Ray = AXIS, background: float = 0.0, **settings: A
     return trace_one(scene, ray, trace_config((background, background, background), **settings))
 
 
-def test_oracle_finds_the_closest_triangle_from_either_side() -> None:
+def test_ray_tracing_oracle_finds_the_closest_triangle_from_either_side() -> None:
     """The closest triangle of all instances is found from either side, with its distance and barycentric weights."""
     rng = np.random.default_rng(0)
     meshes = [MeshInstance(quad(0.0), similarity(tuple(rng.normal(size=3)), i, 0.8, (0, 0, 3.0 + i))) for i in range(4)]
@@ -47,7 +47,7 @@ def test_oracle_finds_the_closest_triangle_from_either_side() -> None:
     assert hit_count > 20
 
 
-def test_meshes_hide_gaussians_that_peak_behind_them() -> None:
+def test_mesh_hides_gaussians_whose_response_peaks_behind_it() -> None:
     """Only Gaussians that peak in front of the mesh count, also in hull mode, where hits precede peaks."""
     scene = Scene([one_gaussian((0.0, 0.0, 4.0), 0.2, 0.2), one_gaussian((0.0, 0.0, 5.0), 0.4, 0.2)], [quad(4.5)])
     color = encode_srgb(np.full(3, 0.8))
@@ -133,7 +133,7 @@ def test_total_internal_reflection_loses_no_light(monkeypatch: pytest.MonkeyPatc
         assert traced(scene, ray, background=0.6, bounces=1).color == pytest.approx([0.6] * 3)
 
 
-def test_mirror_shows_the_view_of_the_mirrored_eye() -> None:
+def test_plane_mirror_shows_what_an_eye_mirrored_in_it_would_see() -> None:
     """A mirror at 45 degrees shows the view of a mirrored eye, including view-dependent colours."""
     half = 9.0
     tilted = Mesh(
@@ -213,7 +213,9 @@ def test_white_mirrors_and_clear_glass_conserve_energy(material: MaterialPbr, mo
     assert hit_count == 12
 
 
-def test_glass_under_a_mirroring_transform_keeps_its_inside(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rays_enter_and_leave_glass_at_the_same_faces_under_a_mirroring_transform(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Glass keeps its inside under a mirroring transform."""
     ray = Ray(np.zeros(3), oracles.normalized(np.array([0.3, 0.1, 1.0])))
     plain = slab(4.0, 0.5, GLASS)
@@ -227,7 +229,7 @@ def test_glass_under_a_mirroring_transform_keeps_its_inside(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("material", [MIRROR, GLASS])
-def test_reflections_by_shading_normals_stay_outside_the_surface(
+def test_shading_normal_that_would_reflect_a_ray_into_the_surface_is_not_used(
     material: MaterialPbr, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The triangle's normal replaces a shading normal that would reflect a ray into the surface."""
@@ -240,7 +242,7 @@ def test_reflections_by_shading_normals_stay_outside_the_surface(
     assert mirrored.direction == pytest.approx(np.array([0.4, 0.0, -0.96]) / 1.04)
 
 
-def test_oracle_colour_variance_includes_reflected_outcomes() -> None:
+def test_colour_variance_of_the_stochastic_oracle_includes_outcomes_in_mirrors() -> None:
     """A Gaussian before the mirror, one in the mirror and the background are the possible outcomes of a ray."""
     before = one_gaussian((0.0, 0.0, 2.0), opacity=0.3)
     dark = one_gaussian((0.0, 0.0, -2.0), opacity=0.6, color=(0.2, 0.3, 0.4))
@@ -256,7 +258,7 @@ def test_oracle_colour_variance_includes_reflected_outcomes() -> None:
     assert one.alpha == 1.0
 
 
-def test_oracle_marks_rays_within_a_mirror_plane_as_doubtful() -> None:
+def test_oracle_marks_rays_that_lie_within_the_plane_of_a_mirror_as_doubtful() -> None:
     """A ray within a mirror's plane is doubtful, since rounding decides from which side the ray comes."""
     scene = Scene([], [quad(4.0, material=MIRROR)])
     for slope, slack in ((1e-5, np.inf), (1e-2, 0.0)):

@@ -62,7 +62,7 @@ def golden_section(f: Callable[[float], float], low: float, high: float) -> floa
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_hit_distance_at_the_peak_maximises_the_response(seed: int) -> None:
+def test_response_of_a_gaussian_along_a_ray_is_largest_at_its_peak_hit_distance(seed: int) -> None:
     """The peak maximises the response along the ray, and alpha there is opacity times exp(-d^2 / 2)."""
     rng = np.random.default_rng(seed)
     scene, ray = random_world(), random_ray(rng)
@@ -86,7 +86,7 @@ def test_hit_distance_at_the_peak_maximises_the_response(seed: int) -> None:
         assert alpha == pytest.approx(min(0.99, opacities[index] * np.exp(-0.5 * squared(best))), rel=1e-9)
 
 
-def test_oracle_finds_all_hits_sorted_by_distance_then_index() -> None:
+def test_ray_tracing_oracle_sorts_all_hits_by_distance_and_then_by_index() -> None:
     """Hits are exactly the Gaussians with a peak ahead and alpha >= 1/255, sorted by distance, then index."""
     scene, rng = random_world(), np.random.default_rng(7)
     world = world_of(scene, None)
@@ -124,7 +124,7 @@ def test_hits_of_gaussians_with_extreme_scales_keep_their_precision(scales: tupl
         assert found.t[0] == pytest.approx(3.0, abs=1e-5 * max(1.0, max(scales) * 1e-4))
 
 
-def test_kernels_of_all_degrees_agree_at_three_standard_deviations() -> None:
+def test_kernels_of_all_degrees_have_equal_responses_at_three_standard_deviations() -> None:
     """All kernel degrees respond 1 at the centre and exp(-4.5) at three deviations; degree 2 is the Gaussian."""
     for degree in range(6):
         assert response(np.array(0.0), degree) == 1.0
@@ -147,7 +147,7 @@ def test_kernels_of_all_degrees_agree_at_three_standard_deviations() -> None:
         (0.02, {"min_response": 0.1, "adaptive_clamping": False}, 1.0 / 255.0 / 0.02),
     ],
 )
-def test_reach_of_a_gaussian_separates_hits_from_misses(
+def test_rays_just_inside_the_reach_of_a_gaussian_hit_it_and_rays_just_outside_miss_it(
     degree: int, opacity: float, settings: dict, least: float
 ) -> None:
     """A Gaussian is hit just inside its reach, where alpha or response are at their minimum, and missed outside."""
@@ -178,7 +178,7 @@ def test_gaussians_with_opacity_below_the_minimum_are_never_hit() -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
-def test_hull_hit_distance_is_the_nearer_point_at_the_reach(degree: int) -> None:
+def test_hull_hit_distance_is_the_nearer_of_two_points_on_the_ray_at_the_gaussians_reach(degree: int) -> None:
     """In hull mode, the hit is the nearer of two points on the ray whose canonical distance is the reach."""
     scene = Scene([replace(random_gaussians(4, 80), kernel_degree=degree)])
     world = world_of(scene, None)
@@ -192,7 +192,7 @@ def test_hull_hit_distance_is_the_nearer_point_at_the_reach(degree: int) -> None
         assert t < peaks.t[peaks.index == i][0]
 
 
-def test_hull_of_a_gaussian_around_the_eye_has_depth_zero() -> None:
+def test_gaussian_that_surrounds_the_eye_has_a_hull_depth_of_zero() -> None:
     """The hull begins behind the eye; whether the Gaussian is hit depends on its peak alone."""
     ahead = Scene([one_gaussian((0.0, 0.0, 0.1), 0.5, 0.9)])
     assert traced(ahead, hit_distance=HitDistance.HULL).depth == 0.0
@@ -200,7 +200,7 @@ def test_hull_of_a_gaussian_around_the_eye_has_depth_zero() -> None:
     assert len(found_on(ahead, replace(AXIS, t_min=0.2), hit_distance=HitDistance.HULL)) == 0
 
 
-def test_hit_normals_are_distance_gradients_that_face_the_ray() -> None:
+def test_hit_normal_is_the_gradient_of_squared_canonical_distance_facing_the_ray() -> None:
     """Normals are gradients of the squared canonical distance, at the eye or at the entry point, against the ray."""
     scene, rng = random_world(), np.random.default_rng(5)
     world = world_of(scene, None)
@@ -222,7 +222,7 @@ def test_hit_normals_are_distance_gradients_that_face_the_ray() -> None:
                 assert normal @ ray.direction < 0.0
 
 
-def test_sh_directions_start_at_the_eye_of_the_unfolded_path() -> None:
+def test_direction_in_which_sh_are_evaluated_starts_at_the_eye_mirrored_behind_mirrors() -> None:
     """SH directions equal the rasteriser's, in object space, from the start of the unfolded path."""
     scene = random_world()
     eye = np.array([0.4, -1.0, 0.3])
@@ -278,7 +278,7 @@ def test_hits_at_equal_distances_keep_the_order_of_the_scene() -> None:
         assert one.slack < 1e-4, "copies cannot change places"
 
 
-def test_cancelling_hit_normals_are_replaced_by_the_direction_to_the_viewer() -> None:
+def test_mean_of_nearly_opposite_hit_normals_becomes_the_direction_to_the_viewer() -> None:
     """A mean normal shorter than 0.2 is replaced by the direction to the viewer."""
     sheets = Scene([opposed_sheets()])
     found = found_on(sheets)
@@ -301,7 +301,7 @@ def test_rays_that_miss_everything_show_the_background() -> None:
 @pytest.mark.parametrize("strategy", [TraceStrategy.STOCHASTIC_HIT, TraceStrategy.STOCHASTIC_PASS])
 @pytest.mark.parametrize("hits_per_pass", [4, 16])
 @pytest.mark.parametrize("meshes", [[], [quad(4.0, 2.0, tilt=0.4)], [quad(4.2, 9.0, tilt=0.4, material=GLASS)]])
-def test_expected_stochastic_colour_equals_the_sorted_colour(
+def test_expected_colour_of_stochastic_tracing_equals_the_colour_of_sorted_tracing(
     strategy: TraceStrategy, hits_per_pass: int, meshes: list[Mesh]
 ) -> None:
     """Stochastic expectations equal the sorted image with meshes, mirrors and glass, if sorting never stops early."""
@@ -326,7 +326,7 @@ def test_expected_stochastic_colour_equals_the_sorted_colour(
         {"strategy": TraceStrategy.STOCHASTIC_PASS, "hits_per_pass": 4},
     ],
 )
-def test_oracle_moments_of_stochastic_colour_equal_a_simulation(settings: dict) -> None:
+def test_mean_and_variance_of_stochastic_colours_by_the_oracle_equal_a_simulation(settings: dict) -> None:
     """Simulating a strategy 100,000 times gives the oracle's mean, variance and outcome frequencies."""
     scene = Scene([random_gaussians(8, 300, scale_range=(0.1, 0.4))], [quad(4.6, 2.0)])
     found = found_on(scene)
@@ -356,7 +356,7 @@ def test_oracle_moments_of_stochastic_colour_equal_a_simulation(settings: dict) 
     assert one.alpha == 1.0
 
 
-def test_stochastic_pass_without_iso_surface_takes_its_farthest_hit() -> None:
+def test_depth_of_a_stochastic_pass_without_iso_surface_is_that_of_its_farthest_hit() -> None:
     """The surface of a pass is its iso-opacity hit from full transmittance, or its farthest hit if there is none."""
     config = TraceConfig(strategy=TraceStrategy.STOCHASTIC_PASS, hits_per_pass=4)
     found = found_on(layers(0.05, 0.05, 0.05, 0.05, 0.1, 0.1, 0.2, 0.1, 0.3))
@@ -368,7 +368,7 @@ def test_stochastic_pass_without_iso_surface_takes_its_farthest_hit() -> None:
     assert may_show.probability == pytest.approx(reached * opacity, rel=1e-6)
 
 
-def test_gaussians_of_the_background_colour_are_invisible() -> None:
+def test_gaussians_coloured_like_the_background_are_invisible_in_every_tracing_strategy() -> None:
     """The law holds for all tracing strategies, without variance."""
     gaussians = random_gaussians(10, 300)
     uniform = replace(gaussians, sh=flat_sh(np.full((300, 3), 0.37)))
@@ -390,7 +390,7 @@ def shaken(gaussians: Gaussians, seed: int) -> Gaussians:
 
 
 @pytest.mark.parametrize("settings", [{}, {"hit_distance": HitDistance.HULL, "normal_method": NormalMethod.ELLIPSOID}])
-def test_oracle_error_bound_covers_rounding_of_the_inputs(settings: dict) -> None:
+def test_error_bound_of_the_oracle_covers_float32_rounding_of_its_inputs(settings: dict) -> None:
     """Moving inputs by a rounding error changes colour, normal and distance by at most the oracle's ``slack``."""
     needles = random_gaussians(11, 150, degree=1, scale_range=(1e-6, 0.8))
     camera = front_camera(20, 15, 20.0)
@@ -412,7 +412,7 @@ def test_oracle_error_bound_covers_rounding_of_the_inputs(settings: dict) -> Non
     assert (shift <= first["depth_slack"][sure] + 1e-6).all()
 
 
-def test_oracle_error_bound_lets_a_ray_miss_a_needle_thinner_than_rounding() -> None:
+def test_error_bound_of_the_oracle_lets_a_ray_miss_a_needle_thinner_than_rounding() -> None:
     """The oracle's ``slack`` covers a miss, even if the ray is aimed at the needle's centre."""
     needle = one_gaussian((0.1, 0.2, 4.0), (1.0, 1e-6, 1e-6), 0.8)
     through = Ray(np.zeros(3), oracles.normalized(needle.means[0].astype(float)))
@@ -420,7 +420,7 @@ def test_oracle_error_bound_lets_a_ray_miss_a_needle_thinner_than_rounding() -> 
     assert traced(Scene([one_gaussian((0.1, 0.2, 4.0), (1.0, 1e-3, 1e-3), 0.8)]), through).slack < 1e-3
 
 
-def test_oracle_error_bound_covers_swapped_hits_closer_than_rounding() -> None:
+def test_error_bound_of_the_oracle_covers_swaps_of_hits_closer_than_rounding() -> None:
     """The oracle's ``slack`` allows two close Gaussians in either order, and ``band`` either surface."""
     red, blue = one_gaussian((0.0, 0.0, 4.0), 0.2, 0.8, (1, 0, 0)), one_gaussian((0.0, 0.0, 4.0), 0.3, 0.5, (0, 0, 1))
     for gap, slack, band in ((0.0, 0.4, True), (4e-7, 0.4, True), (1e-4, 0.0, False)):
@@ -430,7 +430,7 @@ def test_oracle_error_bound_covers_swapped_hits_closer_than_rounding() -> None:
         assert one.band == band
 
 
-def test_oracle_error_bound_covers_values_at_thresholds() -> None:
+def test_error_bound_of_the_oracle_covers_values_that_may_round_across_a_threshold() -> None:
     """An alpha of 1/255, a peak at the ray's start and a transmittance at a threshold may round either way."""
     faint = one_gaussian((0.0, 0.0, 4.0), opacity=1.0 / 255.0)
     assert traced(Scene([faint])).slack == pytest.approx(1.0 / 255.0, rel=1e-3)

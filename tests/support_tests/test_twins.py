@@ -19,7 +19,7 @@ def doubled(x):
 '''
 
 
-def test_key_of_stored_oracle_results_ignores_texts_imports_and_formatting() -> None:
+def test_key_of_stored_oracle_results_ignores_docstrings_imports_and_formatting() -> None:
     """Edits of docstrings, comments, imports and formatting leave an oracle's code as it was."""
     bare = "FACTOR=2.0\ndef doubled(x):\n  return (FACTOR*x+double(0))"
     edited = (
@@ -28,7 +28,7 @@ def test_key_of_stored_oracle_results_ignores_texts_imports_and_formatting() -> 
     assert code_of(bare) == code_of(edited.replace("lumisplat.a", "lumisplat.b.c")) == code_of(SOURCE)
 
 
-def test_key_of_stored_oracle_results_changes_with_edited_code() -> None:
+def test_key_of_stored_oracle_results_changes_if_the_code_is_edited() -> None:
     """A different constant, operator or name makes the stored results stale."""
     for old, new in (("2.0", "3.0"), ("* x", "/ x"), ("def doubled", "def twice")):
         assert code_of(SOURCE.replace(old, new)) != code_of(SOURCE)

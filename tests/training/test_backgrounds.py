@@ -39,7 +39,7 @@ def error_of_alpha(config: ls.TrainConfig) -> float:
     return float(np.mean(errors))
 
 
-def test_alpha_of_background_coloured_gaussians_needs_alpha_loss_or_random_backgrounds() -> None:
+def test_training_learns_alpha_of_background_coloured_objects_by_alpha_loss_or_backgrounds() -> None:
     """Gaussians in the colour of the background leave no trace in the colour loss."""
     config = ls.TrainConfig(iterations=300, cap=100, initial=100, sh_degree=0, alpha=0.0)
     nothing = error_of_alpha(config)
@@ -74,7 +74,7 @@ def test_random_training_backgrounds_depend_on_seed_and_iteration() -> None:
     )
 
 
-def test_masked_pixels_do_not_bleed_into_downscaled_training_images() -> None:
+def test_downscaled_training_images_exclude_colours_of_masked_pixels() -> None:
     """Colour and alpha of a downscaled pixel are means over the unmasked pixels of its area."""
     rng = np.random.default_rng(0)
     color, alpha = rng.uniform(size=(8, 6, 3)).astype(np.float32), rng.uniform(size=(8, 6)).astype(np.float32)

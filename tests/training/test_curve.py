@@ -52,7 +52,7 @@ def test_training_curve_without_points_is_a_blank_image() -> None:
         assert (np.asarray(curve.image()) == 255).all()
 
 
-def test_held_out_images_are_evaluated_after_100_and_200_iterations(tmp_path: Path) -> None:
+def test_training_evaluates_held_out_images_after_100_and_200_iterations_and_at_the_end(tmp_path: Path) -> None:
     """Evaluations are after 100 and 200 iterations, and at the end."""
     config = ls.TrainConfig(iterations=210, cap=80, initial=60, sh_degree=0)
     ls.train(write_training_folder(tmp_path / "set"), config, output=tmp_path / "a.ply", device="cpu")

@@ -47,7 +47,9 @@ def parameters(opacities: list[float], scales: list[float] | None = None) -> Tra
 @pytest.mark.parametrize("count", [2, 3, 10, 51])
 @pytest.mark.parametrize("opacity", [0.01, 0.3, 0.9])
 @pytest.mark.parametrize("degree", [2, 0, 1, 5])
-def test_relocated_gaussians_together_render_like_the_original(count: int, opacity: float, degree: int) -> None:
+def test_copies_of_a_relocated_gaussian_together_render_like_the_single_original(
+    count: int, opacity: float, degree: int
+) -> None:
     """Alpha at the centre and the integral of alpha along a line are equal (equation 9 of Kheradmand et al. 2024)."""
     each, factor = relocation(np.array([opacity]), np.array([count]), degree)
     assert each[0] >= 0.005, "a relocated Gaussian is below the minimum opacity"
@@ -84,7 +86,7 @@ def test_densification_adds_a_twentieth_of_the_gaussians_up_to_the_cap() -> None
     assert grown(parameters([0.5] * 100), TrainConfig(cap=100), rng).count == 100
 
 
-def test_small_gaussians_of_large_gradient_are_cloned_and_large_ones_split() -> None:
+def test_densification_clones_small_gaussians_of_large_gradient_and_splits_large_ones() -> None:
     """A split Gaussian is replaced by two smaller ones inside it."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
@@ -101,7 +103,7 @@ def test_small_gaussians_of_large_gradient_are_cloned_and_large_ones_split() -> 
     assert strongest.count == 5, "there are more Gaussians than the cap"
 
 
-def test_gaussians_with_large_normal_gradients_are_cloned_or_split() -> None:
+def test_densification_clones_or_splits_gaussians_of_large_gradient_by_their_normal() -> None:
     """Normal gradients count only with ``grow_turn``; at the cap, the largest excess over a threshold comes first."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
@@ -127,7 +129,7 @@ def test_densification_prunes_transparent_and_oversized_gaussians() -> None:
     assert pruned(parameters([0.5], [5.0]), extent=math.inf).count == 1
 
 
-def test_opacity_reset_caps_opacities_and_zeroes_their_moments() -> None:
+def test_opacity_reset_in_training_caps_opacities_and_zeroes_their_adam_moments() -> None:
     """Opacities above 0.01 become 0.01, and lower opacities stay."""
     after = parameters([0.9, 0.006])
     reset_opacities(after)

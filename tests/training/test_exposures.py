@@ -28,7 +28,7 @@ def exposed(color: np.ndarray, alpha: np.ndarray, exposure: np.ndarray) -> np.nd
     return (color - behind) @ exposure[:, :3].T + alpha[..., None] * exposure[:, 3] + behind
 
 
-def test_loss_gradients_by_exposures_colors_and_alphas_match_central_differences() -> None:
+def test_training_gradients_for_exposures_colours_and_alphas_match_central_differences() -> None:
     """The reference is the whole loss in float64."""
     color, alpha = images(1).astype(np.float64), images(2, None).astype(np.float64)
     wanted = images(3), images(4, None), images(5, None)
@@ -64,7 +64,7 @@ def test_loss_gradients_by_exposures_colors_and_alphas_match_central_differences
             assert by[index] == pytest.approx(slope, abs=1e-4 * scale), (which, index)
 
 
-def test_mean_of_trained_exposures_stays_the_identity() -> None:
+def test_mean_over_all_images_of_trained_exposures_stays_the_identity() -> None:
     """The colours of the capture therefore do not drift, however single exposures move."""
     exposures, rng = Exposures.neutral(5), np.random.default_rng(0)
     for _ in range(19):

@@ -53,7 +53,9 @@ def test_finished_training_resumes_with_more_iterations(tmp_path: Path, caplog: 
     assert not caplog.records, "the checkpoint has the new number of iterations"
 
 
-def test_interrupted_extended_training_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_extended_by_more_iterations_gives_equal_bits_if_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Repeating the command resumes the training wherever it was stopped."""
     monkeypatch.setattr(
         train, "time", SimpleNamespace(monotonic=itertools.count().__next__)
@@ -68,7 +70,7 @@ def test_interrupted_extended_training_gives_the_same_bits(tmp_path: Path, monke
     assert not list(lengths) and whole.read_bytes() == parts.read_bytes()
 
 
-def test_resuming_with_fewer_iterations_than_done_is_refused(
+def test_training_refuses_to_resume_with_fewer_iterations_than_already_done(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The message has one line, and the files are unchanged."""

@@ -65,7 +65,7 @@ def test_find_materials_recovers_a_varying_environment_over_constant_albedo(tmp_
     np.testing.assert_allclose(linear, -0.8, atol=0.04)
 
 
-def test_find_materials_adds_texture_of_the_images_that_the_capture_lacks(tmp_path: Path) -> None:
+def test_find_materials_recovers_texture_from_the_images_that_the_capture_does_not_have(tmp_path: Path) -> None:
     """The images show a chequered ball, and the capture a ball of constant colour."""
     checks = np.where(np.sign(ball().means).prod(axis=1, keepdims=True) > 0.0, 1.0, 0.4) * GREY
     folder = write_training_images(tmp_path, matte(ball(), checks, constant_radiance))
@@ -97,7 +97,7 @@ def test_find_materials_gives_the_same_bits_on_any_number_of_threads(tmp_path: P
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_traced_incident_visibility_and_radiance_match_brute_force() -> None:
+def test_incident_light_and_visibility_traced_for_materials_match_brute_force() -> None:
     """The reference tests every Gaussian against every ray in float64, with the radiance of hits."""
     rng = np.random.default_rng(0)
     capture = ls.Gaussians(
@@ -128,7 +128,7 @@ def test_traced_incident_visibility_and_radiance_match_brute_force() -> None:
     assert 0.1 < (found.open > 0.5).mean() < 0.9 and found.seen.max() > 0.5
 
 
-def test_fitted_environment_stays_constant_in_a_closed_room() -> None:
+def test_environment_fitted_with_materials_stays_constant_in_a_closed_room() -> None:
     """No ray leaves the room, so the captured radiance is the only light."""
     white = Irradiance(np.full((40, 3), 0.3), np.zeros((40, 16), np.float32), np.zeros((40, 0), np.float32))
     directions = even_directions(16)
@@ -154,7 +154,7 @@ def test_fitted_environment_is_grey_in_mean_and_gives_a_largest_albedo_of_0_8() 
     assert weights[lightest <= 0.8 + 1e-3].sum() == pytest.approx(0.95 * weights.sum(), rel=0.01)
 
 
-def test_neighbour_pairs_of_materials_are_the_6_nearest_gaussians() -> None:
+def test_material_smoothness_compares_each_gaussian_with_its_6_nearest_neighbours() -> None:
     """The reference computes all distances; coincident Gaussians are neighbours of each other, never of themselves."""
     points = (np.random.default_rng(2).random((3000, 3)) * (1.0, 1.0, 0.01)).astype(np.float32)
     distances = np.linalg.norm(points[:, None].astype(float) - points, axis=2)
@@ -166,7 +166,7 @@ def test_neighbour_pairs_of_materials_are_the_6_nearest_gaussians() -> None:
     assert len(copies.first) == 120 and (copies.first != copies.second).all()
 
 
-def test_smoothness_terms_of_a_single_gaussian_are_0() -> None:
+def test_material_smoothness_of_a_capture_of_one_gaussian_is_0() -> None:
     """A set of one Gaussian has no pairs of neighbours."""
     pairs = neighbour_pairs(np.zeros((1, 3), np.float32))
     assert len(pairs.first) == 0
@@ -183,7 +183,9 @@ def test_smoothness_terms_of_a_single_gaussian_are_0() -> None:
         ("seed", 1.5, "seed is 1.5, expected"),
     ],
 )
-def test_materials_config_refuses_invalid_settings_by_name(name: str, value: float, problem: str) -> None:
+def test_error_for_an_invalid_setting_of_materials_config_names_the_setting(
+    name: str, value: float, problem: str
+) -> None:
     """The error names the setting and its value."""
     with pytest.raises(ls.ConfigError, match=problem):
         ls.config.MaterialsConfig(**cast(Any, {name: value}))
@@ -209,7 +211,7 @@ def test_find_materials_reports_images_of_changing_exposure(tmp_path: Path, capl
     assert float(match[1]) == pytest.approx(np.std([-1, -1, 0, 0, 0, 1, 1, 1]), abs=0.03)  # the first image is held out
 
 
-def test_find_materials_refuses_impossible_requests_in_one_line(tmp_path: Path) -> None:
+def test_find_materials_refuses_impossible_requests_with_a_one_line_error(tmp_path: Path) -> None:
     """Formats without materials, inputs that are no capture, and images that do not show the capture are refused."""
     capture = matte(ball(100), GREY, constant_radiance)
     folder = write_training_images(tmp_path / "set", capture, count=3, size=16)

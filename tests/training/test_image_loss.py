@@ -95,7 +95,7 @@ def test_image_loss_and_its_gradient_match_float64(kind: str) -> None:
         np.testing.assert_allclose(by_alpha, share * slope / share.sum(), rtol=1e-4, atol=1e-7)
 
 
-def test_cross_entropy_of_correct_binary_alpha_is_finite_with_zero_gradient() -> None:
+def test_cross_entropy_loss_of_correct_alpha_0_or_1_is_finite_with_zero_gradient() -> None:
     """Wrong alpha of exactly 0 or 1 has a large, finite cross entropy and a gradient towards the target."""
     wanted = (images(2, None) > 0.5).astype(np.float32)
     right, _, by_alpha = differentiate(images(1), wanted, (images(3), None, wanted))

@@ -79,7 +79,7 @@ def test_radiance_of_shaded_gaussians_matches_float64() -> None:
     assert (expected > 1.0).any() and (expected < 1.0).any()
 
 
-def test_gaussian_viewed_from_below_its_plane_shows_the_mirrored_view() -> None:
+def test_gaussian_viewed_from_below_its_plane_shows_what_the_mirrored_eye_would_see() -> None:
     """The radiance equals the radiance seen from the eye's mirror image above the Gaussian's plane."""
     lit = some(2)
     directions = EYE - lit.means
@@ -124,7 +124,7 @@ def encoded_slope(linear: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["albedo", "roughness", "environment"])
-def test_shading_gradients_by_materials_match_central_differences(name: str) -> None:
+def test_gradients_of_shading_for_materials_match_central_differences(name: str) -> None:
     """The reference is float64, along random directions in the space of parameters."""
     lit, rng = some(3), np.random.default_rng(4)
     given = rng.normal(size=(COUNT, 3))
@@ -147,7 +147,7 @@ def test_shading_gradients_by_materials_match_central_differences(name: str) -> 
             np.testing.assert_allclose(change, expected, rtol=2e-3, atol=5e-4)
 
 
-def test_shading_gradients_by_normals_match_central_differences() -> None:
+def test_gradients_of_shading_for_normals_match_central_differences() -> None:
     """Gradients are compared along tangents, for Gaussians that face the eye."""
     lit, rng = some(5), np.random.default_rng(6)
     given = rng.normal(size=(COUNT, 3))
@@ -167,7 +167,7 @@ def test_shading_gradients_by_normals_match_central_differences() -> None:
     np.testing.assert_allclose((found * tangents).sum(axis=1)[faces], expected[faces], rtol=5e-3, atol=5e-4)
 
 
-def test_radiance_above_white_gets_only_gradients_that_darken() -> None:
+def test_gaussians_shaded_brighter_than_white_get_no_gradients_that_brighten_them() -> None:
     """A gradient that would brighten clipped Gaussians is 0."""
     lit = replace(some(8), environment=np.full((DIRECTIONS, 3), 9.0), open=np.ones((COUNT, DIRECTIONS)))
     shown = Shown(lit)

@@ -106,7 +106,7 @@ def test_interrupted_material_search_resumes_to_the_same_bits(
     assert_same(found(capture, folder, output), whole)  # without a further iteration
 
 
-def test_resumed_material_search_traces_a_missing_incident_radiance_again(
+def test_material_search_resumed_without_its_incident_radiance_file_traces_it_again(
     capture: ls.Gaussians, folder: Path, whole: ls.inverse.FoundMaterials, tmp_path: Path
 ) -> None:
     """The result has the same bits as that of an uninterrupted search."""
@@ -117,7 +117,7 @@ def test_resumed_material_search_traces_a_missing_incident_radiance_again(
     assert_same(found(capture, folder, output), whole)
 
 
-def test_material_search_discards_the_state_of_another_search(
+def test_material_search_discards_saved_state_of_another_capture_or_other_settings(
     capture: ls.Gaussians,
     folder: Path,
     whole: ls.inverse.FoundMaterials,
@@ -167,7 +167,7 @@ def test_material_search_refuses_an_unwritable_output_before_reading(
 
 
 @pytest.mark.parametrize("fails", ["save", "write_radiance"])
-def test_material_search_writes_both_environment_and_capture_or_neither(
+def test_material_search_writes_environment_and_capture_together_or_not_at_all(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
     """If the disk is full, earlier files stay, and the message names the requested output."""

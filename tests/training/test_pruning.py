@@ -19,7 +19,7 @@ from support.scenes.training_scenes import BACKGROUND, known_gaussians, known_pa
 
 
 @pytest.mark.parametrize("threads", [1, 5])
-def test_largest_blending_weights_match_rendered_features(threads: int) -> None:
+def test_largest_blending_weight_of_each_rasterised_gaussian_matches_rendered_features(threads: int) -> None:
     """The reference renders one feature channel per Gaussian; a Gaussian that no camera sees has weight 0."""
     given = views(3, 45)
     parameters = known_parameters().rows(np.arange(30))
@@ -50,7 +50,7 @@ ALONG = ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)
     ],
     ids=["ray traced", "unscented", "unscented, moving fisheye"],
 )
-def test_largest_blending_weights_along_rays_match_rendered_frames(
+def test_largest_blending_weight_of_each_ray_traced_gaussian_matches_rendered_frames(
     settings: dict[str, Any], frames: dict[str, Any], lens: dict[str, Any], moves: bool
 ) -> None:
     """A frame with one white Gaussian among black ones is the image of its weights."""

@@ -52,7 +52,7 @@ def errors(poses: np.ndarray, true: list[TrainingView]) -> np.ndarray:
     return np.sqrt([np.sum(np.square(np.degrees(rotations)), axis=1).mean(), np.sum(eyes**2, axis=1).mean()])
 
 
-def test_training_recovers_perturbed_camera_poses_to_a_fifth() -> None:
+def test_training_reduces_errors_of_perturbed_camera_poses_to_a_fifth() -> None:
     """Errors of about 1 degree and 1 % of the distance shrink to a fifth, with known Gaussians."""
     true = views(12)
     one = started(moved(true, 1.0, 0.03), CONFIG)
@@ -70,7 +70,7 @@ def test_training_recovers_perturbed_camera_poses_to_a_fifth() -> None:
     [{}, {"pipeline": ls.Pipeline.TRACE}, {"projection": ls.config.Projection.UNSCENTED}],
     ids=["splats", "ray traced", "unscented"],
 )
-def test_loss_gradients_by_camera_poses_match_central_differences(drawn_by: dict[str, Any]) -> None:
+def test_training_gradients_for_camera_poses_match_central_differences(drawn_by: dict[str, Any]) -> None:
     """The reference moves the camera and compares the losses of the trainer's frames."""
     given = moved(views(2), 1.0, 0.03)
     one = started(given, replace(CONFIG, **drawn_by))
@@ -94,7 +94,7 @@ def test_loss_gradients_by_camera_poses_match_central_differences(drawn_by: dict
     np.testing.assert_allclose(found, slopes, atol=0.03 * np.abs(slopes).max())
 
 
-def test_mean_motion_of_refined_cameras_stays_zero() -> None:
+def test_mean_correction_of_refined_camera_poses_stays_zero() -> None:
     """Rotation matrices stay orthogonal after many steps."""
     poses = Poses.of([view.camera for view in views(5)], 3.0)
     rng = np.random.default_rng(0)
@@ -111,7 +111,7 @@ def test_mean_motion_of_refined_cameras_stays_zero() -> None:
     )
 
 
-def test_resumed_poses_and_exposures_have_the_same_bits_and_are_written(
+def test_poses_and_exposures_of_a_resumed_training_equal_uninterrupted_ones_to_the_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Resumed results have the same bits, in the capture, the poses file and the exposures file."""

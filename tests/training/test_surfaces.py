@@ -163,7 +163,7 @@ def test_densification_statistics_of_normals_match_central_differences() -> None
     )
 
 
-def test_flatness_term_acts_only_on_the_smallest_scale_of_drawn_gaussians() -> None:
+def test_flatness_loss_has_gradients_for_smallest_scales_of_drawn_gaussians_alone() -> None:
     """A Gaussian behind the camera is not drawn and gets no gradient."""
     one = started(flatness=FLATNESS)
     _, found = found_by(one)
@@ -180,7 +180,7 @@ def test_flatness_term_acts_only_on_the_smallest_scale_of_drawn_gaussians() -> N
 
 
 @pytest.mark.deep
-def test_surface_loss_terms_improve_normals_and_depths_by_30_percent() -> None:
+def test_surface_loss_terms_lower_errors_of_normals_and_depths_by_30_percent() -> None:
     """The scene is a ball over a disc; PSNR drops by less than 0.5 dB."""
     plain = known_surfaces.score(known_surfaces.fitted(known_surfaces.CONFIG))
     weights = {"flatness": 0.3, "normals": 0.05}

@@ -51,7 +51,7 @@ def held_out_psnr(of: Trainer) -> float:
 
 
 @pytest.mark.parametrize("kind", list(ls.config.Densification))
-def test_training_improves_held_out_views_by_4_db(kind: ls.config.Densification) -> None:
+def test_training_raises_the_psnr_of_held_out_views_by_4_db(kind: ls.config.Densification) -> None:
     """400 small iterations gain 4 dB."""
     one = trainer(replace(CONFIG, densification=kind))
     before, losses = held_out_psnr(one), [one.step().total for _ in range(400)]
@@ -60,7 +60,7 @@ def test_training_improves_held_out_views_by_4_db(kind: ls.config.Densification)
 
 
 @pytest.mark.deep
-def test_training_recovers_known_gaussians_to_40_db() -> None:
+def test_training_recovers_images_of_known_gaussians_to_a_psnr_of_40_db() -> None:
     """32 rendered images give more than 40 dB on held-out views."""
     config = ls.TrainConfig(iterations=6000, cap=400, initial=400, sh_degree=1, coarse=0)
     one = Trainer(views(32, 64), config, background=BACKGROUND, device="cpu")
@@ -186,7 +186,7 @@ def test_checkpoints_of_other_trainings_or_with_damage_are_refused(tmp_path: Pat
     assert again.iterations == 20 and file.read_bytes() == held
 
 
-def test_checkpoints_with_inconsistent_arrays_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_checkpoints_with_inconsistent_arrays_are_refused_with_a_one_line_error(tmp_path: Path) -> None:
     """Archives with missing Gaussians, wrong shapes, negative iterations or a decompression bomb are refused."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20, exposures=True)
@@ -242,7 +242,7 @@ def test_non_finite_parameters_end_training_before_any_file_is_written() -> None
         _ = one.checkpoint
 
 
-def test_scene_scale_of_cameras_without_parallax_has_defaults() -> None:
+def test_training_assumes_default_scene_scales_for_cameras_without_parallax() -> None:
     """The cameras are at one position, or have parallel axes."""
     spot = [ls.Camera.look_at((1.3, 0.7, -2.1), target) for target in np.random.default_rng(0).normal(size=(8, 3))]
     assert SceneScale.of(spot) == SceneScale(1.0, 1.0)
@@ -251,7 +251,7 @@ def test_scene_scale_of_cameras_without_parallax_has_defaults() -> None:
     assert SceneScale.of(cameras(9)).distance == pytest.approx(3.0, abs=0.2)
 
 
-def test_initial_gaussian_scales_follow_the_three_nearest_points() -> None:
+def test_initial_scale_of_a_gaussian_is_the_rms_distance_of_the_three_nearest_points() -> None:
     """The reference computes all distances; one, two and coincident points are accepted."""
     points = np.random.default_rng(5).uniform(size=(2000, 3)) * (1.0, 1.0, 0.0)
     nearest = np.sort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, 1:4]

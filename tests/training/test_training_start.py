@@ -70,7 +70,7 @@ def test_training_adds_random_points_to_fewer_than_20_known_points(caplog: pytes
         ([0, 1, 2, 3], None),
     ],
 )
-def test_training_reports_few_camera_positions_and_duplicate_poses(
+def test_training_logs_advice_if_cameras_have_few_positions_or_duplicate_poses(
     numbers: list[int], problem: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The log has one line with advice, and none if there are enough distinct cameras."""
@@ -83,7 +83,7 @@ def test_training_reports_few_camera_positions_and_duplicate_poses(
     assert problem or not caplog.messages
 
 
-def test_camera_positions_and_poses_are_counted_alike_in_any_unit() -> None:
+def test_numbers_of_distinct_camera_positions_and_poses_do_not_depend_on_the_unit() -> None:
     """A camera that rotates has one position and several poses."""
     for scale in (1e-3, 1.0, 1e4):
         eyes = scale * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

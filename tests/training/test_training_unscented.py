@@ -81,7 +81,7 @@ def check_frame(one: Trainer, camera: ls.Camera) -> None:
 
 
 @pytest.mark.parametrize("kind", LENSES)
-def test_unscented_training_improves_held_out_views_by_4_db(kind: str) -> None:
+def test_unscented_training_raises_the_psnr_of_held_out_views_by_4_db(kind: str) -> None:
     """200 small iterations gain 4 dB."""
     one, others = trainer(CONFIG, lenses(8, kind)), lenses(40, kind)[33:36]
     before, losses = held_out_psnr(one, others), [one.step().total for _ in range(200)]

@@ -69,7 +69,7 @@ def test_ray_and_unscented_training_are_independent_of_the_unit(tmp_path: Path, 
     assert scores[1].psnr == pytest.approx(scores[0].psnr, abs=0.05)
 
 
-def test_training_far_from_the_origin_is_written_and_resumes(tmp_path: Path) -> None:
+def test_training_of_images_in_map_coordinates_stores_the_origin_and_can_resume(tmp_path: Path) -> None:
     """The file stores the origin, and refined cameras are in world space."""
     far = images(tmp_path / "far", 1.0, UTM)
     config = replace(CONFIG, refine_poses=True)
@@ -84,7 +84,7 @@ def test_training_far_from_the_origin_is_written_and_resumes(tmp_path: Path) -> 
         assert np.linalg.norm(camera.eye - view.camera.eye) < 0.1
 
 
-def test_camera_extent_in_the_training_frame_is_equal_for_any_unit(tmp_path: Path) -> None:
+def test_extent_of_cameras_in_training_coordinates_is_equal_for_any_unit_of_the_images(tmp_path: Path) -> None:
     """Scale regularisation and position noise therefore have the same effect in any unit."""
     extents = []
     for unit, origin in ((1.0, 0.0 * UTM), (1e-3, 1e-3 * UTM), (1e5, 1e5 * UTM)):
@@ -93,7 +93,7 @@ def test_camera_extent_in_the_training_frame_is_equal_for_any_unit(tmp_path: Pat
     np.testing.assert_allclose(extents, extents[0], rtol=1e-6)
 
 
-def test_camera_positions_far_from_the_origin_count_as_distinct(
+def test_cameras_five_units_apart_far_from_the_origin_count_as_different_positions(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Cameras five units apart, five million units from the origin, are not at one position."""

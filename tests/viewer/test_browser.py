@@ -167,7 +167,7 @@ def step_back(viewer: ls.Viewer) -> None:
     eventually(lambda: page.pose is not None and page.pose.position[2] < -4.9, "the camera did not move")
 
 
-def test_reloaded_page_is_admitted_by_its_cookie_without_a_token(browser: Any, viewer: ls.Viewer) -> None:
+def test_reloaded_viewer_page_is_admitted_by_its_cookie_without_a_token(browser: Any, viewer: ls.Viewer) -> None:
     """The cookie admits a reloaded page; another browser without token and cookie gets status 401."""
     page = open_page(browser, viewer)
     address = viewer.url.partition("?")[0]
@@ -274,7 +274,9 @@ def test_clicks_on_outliner_rows_select_hide_and_lock_objects(browser: Any, view
     page.close()
 
 
-def test_first_material_edit_keeps_the_folder_open_and_the_scroll_position(browser: Any, viewer: ls.Viewer) -> None:
+def test_first_edit_of_a_material_keeps_its_folder_open_and_the_panel_unscrolled(
+    browser: Any, viewer: ls.Viewer
+) -> None:
     """The first edit of a material neither closes its folder nor scrolls the panel."""
     page = open_page(browser, viewer)
     page.locator(".lumi-name", has_text="crate").click()
@@ -291,7 +293,7 @@ def test_first_material_edit_keeps_the_folder_open_and_the_scroll_position(brows
     page.close()
 
 
-def test_phone_panel_is_a_drawer_and_the_scene_fits_above_it(browser: Any, viewer: ls.Viewer) -> None:
+def test_viewer_panel_on_a_phone_is_a_drawer_with_the_whole_scene_above_it(browser: Any, viewer: ls.Viewer) -> None:
     """The drawer has the page's width; the camera moves back so that the whole scene fits above the drawer."""
     page, count = browser.new_page(viewport={"width": 390, "height": 844}), len(viewer._pages)
     page.goto(viewer.url)
@@ -310,7 +312,7 @@ def test_phone_panel_is_a_drawer_and_the_scene_fits_above_it(browser: Any, viewe
     page.close()
 
 
-def test_clicking_a_thumbnail_moves_the_page_to_its_key_view(browser: Any, viewer: ls.Viewer) -> None:
+def test_clicking_the_thumbnail_of_a_key_view_moves_the_pages_camera_there(browser: Any, viewer: ls.Viewer) -> None:
     """The clicked page moves to the first of two key views with a level horizon; another page does not move."""
     page, other = open_page(browser, viewer), open_page(browser, viewer)
     (clicked, unclicked) = viewer._pages.values()

@@ -21,7 +21,7 @@ edit for each frame of a drag, or the data of a closed page, would exceed the li
 @pytest.mark.parametrize(
     "edits", [pytest.param(120, id="short"), pytest.param(3000, id="long", marks=pytest.mark.deep)]
 )
-def test_viewer_keeps_all_concurrent_edits_and_leaves_no_threads(edits: int, tmp_path: Path) -> None:
+def test_viewer_loses_none_of_many_concurrent_edits_and_leaves_no_threads(edits: int, tmp_path: Path) -> None:
     """The document has every edit that was not undone, and closed pages leave no thread."""
     report = endured(edits, tmp_path, seed=1)
     assert report.done.total() == edits and report.done.keys() == WEIGHTS.keys()
@@ -29,7 +29,7 @@ def test_viewer_keeps_all_concurrent_edits_and_leaves_no_threads(edits: int, tmp
     assert report.memory_mib[-1] - report.memory_mib[0] < MEMORY_MIB
 
 
-def test_viewer_handles_simultaneous_events_of_a_page_in_order(tmp_path: Path) -> None:
+def test_viewer_handles_events_that_a_page_sends_at_once_in_their_order(tmp_path: Path) -> None:
     """Ten drags, each followed by undo and redo, are ten edits in the order in which the page sent them."""
     viewer = ls.view(scene_in(tmp_path), height=90, device="cpu")
     viewer._loader.join()

@@ -44,7 +44,7 @@ def costs(full: float) -> dict[DetailStep, float]:
     return {step: full * (1.0, 0.25, 0.125)[step.level] * step.scale for step in GAUSSIAN_STEPS}
 
 
-def test_detail_steps_of_moving_views_reduce_gaussians_before_pixels() -> None:
+def test_viewer_detail_steps_reduce_gaussians_before_they_reduce_pixels() -> None:
     """Each step is coarser than the previous one; resolution drops only after the first reduced level of detail."""
     assert (
         GAUSSIAN_STEPS[0] == DetailStep(0, 1.0)
@@ -57,7 +57,7 @@ def test_detail_steps_of_moving_views_reduce_gaussians_before_pixels() -> None:
 
 
 @pytest.mark.parametrize("full", [20.0, 100.0, 300.0, 2000.0])
-def test_detail_controller_uses_the_finest_step_within_the_budget(full: float) -> None:
+def test_viewer_uses_the_finest_detail_step_within_the_time_budget_of_a_frame(full: float) -> None:
     """The controller ends at the finest step with some headroom in the budget, or at the coarsest step."""
     cost = costs(full)
     last = chosen_steps(cost, 40.0)[-1]
@@ -66,14 +66,14 @@ def test_detail_controller_uses_the_finest_step_within_the_budget(full: float) -
     assert not fitting or GAUSSIAN_STEPS.index(last) <= GAUSSIAN_STEPS.index(fitting[0])
 
 
-def test_detail_controller_does_not_flicker_between_steps() -> None:
+def test_viewer_does_not_alternate_between_two_detail_steps() -> None:
     """With the budget between the times of two steps, the controller seldom switches."""
     taken = chosen_steps({step: 45.0 if step == GAUSSIAN_STEPS[0] else 25.0 for step in GAUSSIAN_STEPS}, 40.0, 400)[50:]
     changes = sum(a != b for a, b in itertools.pairwise(taken))
     assert changes <= 0.06 * len(taken)
 
 
-def test_detail_controller_skips_steps_after_two_very_slow_frames() -> None:
+def test_viewer_skips_detail_steps_after_two_very_slow_frames_in_a_row() -> None:
     """One slow frame changes little, because another program may have caused it."""
     detail = DetailController()
     detail.record(10.0, 40.0)
@@ -84,7 +84,9 @@ def test_detail_controller_skips_steps_after_two_very_slow_frames() -> None:
 
 
 @pytest.mark.parametrize(("count", "level", "scale"), [(1000, 1, 1.0), (2_000_000, 1, 1.0), (3_000_000, 2, 0.5)])
-def test_first_frame_of_a_large_scene_has_a_coarse_detail_step(count: int, level: int, scale: float) -> None:
+def test_viewer_shows_the_first_frame_of_a_large_scene_at_a_coarse_detail_step(
+    count: int, level: int, scale: float
+) -> None:
     """The first frame has at most `MOVING_GAUSSIANS_MAX` Gaussians; small scenes start at a quarter of theirs."""
     assert GAUSSIAN_STEPS[first_step(count)] == DetailStep(level, scale)
 
@@ -101,7 +103,7 @@ def random_capture(count: int) -> ls.Gaussians:
     )
 
 
-def test_levels_of_detail_are_built_once_and_keep_the_instance_transform() -> None:
+def test_level_of_detail_of_a_capture_is_built_once_and_has_the_instances_transform() -> None:
     """The full capture is shown until its level of detail exists; small captures have no levels."""
     made = threading.Semaphore(0)
     levels = Levels(made.release)
@@ -120,7 +122,9 @@ def test_levels_of_detail_are_built_once_and_keep_the_instance_transform() -> No
     levels.close()
 
 
-def test_large_scenes_are_thinned_until_their_levels_of_detail_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_viewer_shows_large_scenes_thinned_until_their_levels_of_detail_are_built(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Thinned captures are available at once with enlarged Gaussians; many small captures count as one large scene."""
     monkeypatch.setattr("lumisplat.viewer.frames.scene_builder.MOVING_GAUSSIANS_MAX", 4 * LEVEL_GAUSSIANS_MIN)
     made, busy = threading.Semaphore(0), threading.Event()
@@ -140,7 +144,7 @@ def test_large_scenes_are_thinned_until_their_levels_of_detail_exist(monkeypatch
     levels.close()
 
 
-def test_levels_of_detail_built_by_blocks_cover_the_whole_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_level_of_detail_built_block_by_block_covers_the_whole_capture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gaussians are merged only within a spatial block, and progress runs from 0 to 1."""
     monkeypatch.setattr("lumisplat.viewer.frames.scene_builder.LEVEL_BLOCK", 8192)
     made, reported = threading.Semaphore(0), list[float]()
@@ -157,7 +161,7 @@ def test_levels_of_detail_built_by_blocks_cover_the_whole_capture(monkeypatch: p
     levels.close()
 
 
-def test_camera_of_a_page_pose_equals_the_page_camera_at_any_height() -> None:
+def test_camera_made_of_a_browser_pages_pose_has_its_rays_at_any_image_height() -> None:
     """A pose gives the same rays as a camera at the same position, at any image height."""
     from viser import transforms
 
@@ -172,7 +176,7 @@ def test_camera_of_a_page_pose_equals_the_page_camera_at_any_height() -> None:
 
 
 @pytest.mark.parametrize(("size", "units"), [(0.02, 100.0), (1.0, 1.0), (20.0, 1.0), (400.0, 0.01), (1e5, 1e-5)])
-def test_page_scale_is_a_power_of_ten_and_one_for_common_sizes(size: float, units: float) -> None:
+def test_scale_of_a_scene_on_a_viewer_page_is_a_power_of_ten_and_1_for_common_sizes(size: float, units: float) -> None:
     """Scenes of about 1 to 20 units are shown at scale 1."""
     cube = ls.Scene(meshes=[ls.MeshInstance(ls.box(size / math.sqrt(3.0)), position=(7.0, 0.0, 0.0))])
     extent = Extent.of(cube)
@@ -202,14 +206,14 @@ def test_picking_returns_the_object_and_depth_of_the_frame_at_a_pixel() -> None:
     assert picked(frame, 0.01, 0.5) is None and picked(frame, -3.0, 7.0) is None
 
 
-def test_depth_sent_to_a_page_is_view_depth_in_page_units() -> None:
+def test_depth_image_sent_to_a_viewer_page_is_view_depth_in_page_units() -> None:
     """The depth image has every fourth pixel; pixels without a surface are farther away than any gizmo."""
     depth = page_depth(box_frame(), 10.0)
     assert depth.shape == (math.ceil((90 - 2) / DEPTH_STRIDE), 160 // DEPTH_STRIDE)
     assert depth[11, 20] == pytest.approx(30.0, rel=1e-3) and depth[0, 0] >= 1000.0
 
 
-def test_object_outlines_are_dimmed_behind_surfaces() -> None:
+def test_parts_of_an_object_outline_behind_surfaces_are_dimmed_in_the_viewer() -> None:
     """Lines in front of the box have full colour, lines behind it a fraction, and all other pixels are unchanged."""
     frame = box_frame()
     black = np.zeros((90, 160, 3), np.uint8)
@@ -231,7 +235,7 @@ def test_object_outlines_are_dimmed_behind_surfaces() -> None:
         (ls.LightDisk((0, 0, 0), (1, 2, -2), 0.5), 0.5),
     ],
 )
-def test_light_outlines_show_radius_and_range(light: object, reach: float) -> None:
+def test_outline_of_a_light_in_the_viewer_shows_its_radius_or_range(light: object, reach: float) -> None:
     """Outlines extend to the radius or the range of a light."""
     outline = light_outline(light, 0.1, is_selected=True)
     assert outline is not None
@@ -240,7 +244,7 @@ def test_light_outlines_show_radius_and_range(light: object, reach: float) -> No
     assert light_outline(ls.LightEnvironment(), 0.1, is_selected=True) is None
 
 
-def test_split_image_shows_before_left_and_after_right() -> None:
+def test_split_comparison_shows_the_scene_before_edits_left_and_after_them_right() -> None:
     """A white line separates the two sides at any split position."""
     before, after = np.full((4, 10, 3), 10, np.uint8), np.full((4, 10, 3), 90, np.uint8)
     joined = split_image(before, after, 0.3)

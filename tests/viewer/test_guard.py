@@ -60,14 +60,14 @@ def test_guard_accepts_local_requests_with_token_or_cookie(host: str) -> None:
         ("/", OWN | {"Cookie": "lumisplat-8080=\udcff"}, 401),
     ],
 )
-def test_guard_rejects_requests_without_token_or_of_foreign_host_or_origin(
+def test_guard_rejects_requests_without_token_and_those_of_a_foreign_host_or_origin(
     path: str, headers: dict[str, str], expected: int
 ) -> None:
     """A missing token gives 401. A foreign host name or origin gives 403, even with the token."""
     assert status(GUARD, path, headers) == expected
 
 
-def test_public_viewer_accepts_any_host_name_but_no_foreign_origin() -> None:
+def test_viewer_on_a_public_address_accepts_any_host_name_but_no_foreign_origin() -> None:
     """On a public address any ``Host`` is accepted, but the token stays required."""
     guard = Guard("0.0.0.0", 8080)
     assert not is_loopback("0.0.0.0") and not is_loopback("192.168.1.2") and is_loopback("::1")
@@ -115,7 +115,7 @@ def get(server: PageServer, path: str, **headers: str) -> tuple[int, dict[str, s
             return error.code, dict(error.headers)
 
 
-def test_every_page_request_passes_the_guard(server: PageServer) -> None:
+def test_every_http_request_to_the_viewer_is_checked_by_the_guard(server: PageServer) -> None:
     """The test fails if a new version of viser opens its port without the guard."""
     with_token = f"/?token={server.guard.token}"
     found, headers = get(server, with_token)
@@ -153,7 +153,7 @@ def subprotocol() -> str:
     return f"viser-v{viser.__version__}"
 
 
-def test_every_web_socket_passes_the_guard(server: PageServer) -> None:
+def test_every_web_socket_of_the_viewer_is_checked_by_the_guard(server: PageServer) -> None:
     """A socket of another site gets 403 even with the token; a socket without the token gets 401."""
     own, token = f"http://127.0.0.1:{server.guard.port}", server.guard.token
     assert socket_status(server, origin=own, token=token) == 101
@@ -162,7 +162,7 @@ def test_every_web_socket_passes_the_guard(server: PageServer) -> None:
     assert socket_status(server, origin=own, token="") == 401
 
 
-def test_any_thread_event_can_be_set_while_waiters_come_and_go() -> None:
+def test_event_set_from_any_thread_is_safe_while_other_tasks_start_and_stop_waiting() -> None:
     """Setting an event while waiters come and go does not raise, as asyncio's own event would."""
     event, ends, woken = AnyThreadEvent(), threading.Event(), [0]
     errors: list[BaseException] = []
@@ -200,7 +200,7 @@ def test_any_thread_event_can_be_set_while_waiters_come_and_go() -> None:
     assert errors == [] and woken[0] >= 49
 
 
-def test_page_server_uses_thread_safe_events(server: PageServer) -> None:
+def test_message_buffers_of_the_page_server_use_thread_safe_events(server: PageServer) -> None:
     """The message buffer of the server has thread-safe events; buffers of pages are created in the same way."""
     buffer: Any = server.viser
     assert isinstance(buffer._websock_server._broadcast_buffer.message_event, AnyThreadEvent)
@@ -297,7 +297,7 @@ def test_invalid_page_messages_are_dropped_and_logged_once(message: object, capl
     assert len(caplog.records) == 1
 
 
-def test_page_messages_that_cannot_be_decoded_are_dropped() -> None:
+def test_messages_of_viewer_pages_that_cannot_be_decoded_are_dropped() -> None:
     """Text, random bytes and messages nested too deeply are dropped."""
     inbox = Inbox()
     for raw in ("text", b"", b"\xc1", b"\xff" * 100, b"\x91" * 5000, bytes(2**23)):
@@ -305,7 +305,7 @@ def test_page_messages_that_cannot_be_decoded_are_dropped() -> None:
     assert inbox.dropped == 6
 
 
-def test_page_uploads_cannot_exceed_their_declared_size() -> None:
+def test_uploads_of_a_viewer_page_cannot_exceed_their_declared_size() -> None:
     """Several concurrent uploads together cannot exceed the limit of one."""
     start, part = UPLOAD | {"size_bytes": 4, "part_count": 2}, PART | {"part_index": 0, "content": b"abc"}
     assert accepts(start, part, part) == [True, True, False]

@@ -70,7 +70,7 @@ def horizon(page: Page) -> float:
     return abs(float(page.pose.camera(HEIGHT).camera_from_world[0, :3] @ UP))
 
 
-def test_viewer_levelling_and_undo_change_up_but_not_the_capture(viewer: ls.Viewer) -> None:
+def test_levelling_in_the_viewer_and_its_undo_change_the_up_direction_not_the_capture(viewer: ls.Viewer) -> None:
     """Page, upright objects, sun angles and ground follow the new up; capture and light stay in place."""
     session = viewer._session
     crate = next(entry.id for entry in viewer.document.entries if entry.name == "crate")
@@ -100,7 +100,7 @@ def test_viewer_levelling_and_undo_change_up_but_not_the_capture(viewer: ls.View
         assert session.redo() and viewer.scene.up_direction == pytest.approx(tuple(up))
 
 
-def test_unmoved_page_frames_the_whole_levelled_scene(viewer: ls.Viewer) -> None:
+def test_page_whose_camera_was_not_moved_shows_the_whole_scene_after_levelling(viewer: ls.Viewer) -> None:
     """An unmoved page, or one that looks straight down at the new ground, shows the levelled scene from its front."""
     first = viewer._first_view
     viewer._session.apply(lambda document: document.with_up("z-up"))
@@ -119,7 +119,7 @@ def test_unmoved_page_frames_the_whole_levelled_scene(viewer: ls.Viewer) -> None
         np.testing.assert_allclose(page.pose.position, position, atol=1e-5)
 
 
-def test_three_clicks_on_the_ground_set_the_up_direction(viewer: ls.Viewer) -> None:
+def test_three_clicks_on_the_ground_set_the_up_direction_of_the_viewers_scene(viewer: ls.Viewer) -> None:
     """The clicks select nothing, a click on the background does not count, and later clicks select again."""
     session, level = viewer._session, viewer._outliner.level
     problems: list[str] = []
@@ -148,7 +148,7 @@ def click(viewer: ls.Viewer, page: Page, at: tuple[float, ...]) -> None:
     viewer._pick(page, SimpleNamespace(screen_pos=at))
 
 
-def test_collinear_clicks_on_the_ground_leave_up_unchanged(viewer: ls.Viewer) -> None:
+def test_three_collinear_clicks_on_the_ground_leave_the_up_direction_unchanged(viewer: ls.Viewer) -> None:
     """An error is reported, and the mode of clicking ground points ends."""
     problems: list[str] = []
     viewer._session.error_listeners.append(problems.append)
@@ -163,7 +163,7 @@ def test_collinear_clicks_on_the_ground_leave_up_unchanged(viewer: ls.Viewer) ->
     assert "are collinear" in problems[0] and viewer.document is before and viewer._session.ground_points is None
 
 
-def test_normal_of_three_ground_points_points_toward_the_camera() -> None:
+def test_ground_normal_through_three_clicked_points_faces_the_camera() -> None:
     """The order of the points does not matter; collinear points have no normal."""
     points = [np.array(point) for point in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 2.0))]
     for order in ((0, 1, 2), (1, 0, 2)):

@@ -72,7 +72,9 @@ def test_exported_exr_has_the_requested_layers(page: PageClient, tmp_path: Path)
     eventually(lambda: any("albdo" in note for note in page.notes()), "no notification arrived")
 
 
-def test_video_has_a_frame_for_each_time_of_the_camera_path(viewer: ls.Viewer, page: PageClient) -> None:
+def test_video_saved_by_the_viewer_has_a_frame_for_each_time_of_the_camera_path(
+    viewer: ls.Viewer, page: PageClient
+) -> None:
     """Each frame is rendered from the path's camera at its time."""
     page.press("add key view")
     page.choose("seconds to next", 0.5)
@@ -110,7 +112,7 @@ def test_viewer_runs_one_background_job_at_a_time_and_can_cancel_it(viewer: ls.V
     assert not page.downloads()
 
 
-def test_viewer_closes_during_a_background_render() -> None:
+def test_viewer_closed_during_a_background_render_ends_its_render_thread() -> None:
     """The viewer closes in the middle of a render."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=CONFIG)
     viewer._loader.join()

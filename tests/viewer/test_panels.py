@@ -99,7 +99,7 @@ def field(name: str, cls: type = Sample) -> Setting:
     return next(one for one in control_settings(cls) if one.name == name)
 
 
-def test_controls_of_any_dataclass_have_kind_range_and_help() -> None:
+def test_viewer_controls_of_any_dataclass_have_kind_range_and_help_of_its_fields() -> None:
     """A dataclass that is not part of the package gets its controls from its declarations."""
     assert [one.name for one in control_settings(Sample)] == ["share", "count", "kind", "base_color", "inner"]
     assert (field("share").kind, field("share").low, field("share").high) == ("number", 0.0, 0.9)
@@ -159,7 +159,7 @@ def test_black_body_colours_match_reference_chromaticities(
     np.testing.assert_allclose(color_of_temperature(kelvins), expected, atol=0.06)
 
 
-def test_colours_picked_as_srgb_become_linear() -> None:
+def test_colours_picked_in_the_viewer_are_converted_from_srgb_to_linear() -> None:
     """All 256 levels round-trip; linear 0.5 is level 188."""
     for shade in range(256):
         assert color_bytes_from_linear(linear_from_color_bytes((shade, shade, shade))) == (shade, shade, shade)
@@ -206,7 +206,7 @@ def shift(x: float, y: float, z: float) -> np.ndarray:
     return matrix
 
 
-def test_gizmo_drag_translates_objects_and_lights() -> None:
+def test_dragging_the_gizmo_translates_objects_and_lights() -> None:
     """A box keeps its rotation and size; lights follow the gizmo, and the gizmo of a sun moves on a sphere."""
     before = document().scene()
     after = moved(0, shift(0.5, 0.0, -1.0)).scene()
@@ -218,7 +218,7 @@ def test_gizmo_drag_translates_objects_and_lights() -> None:
     assert gizmo_pose(document().entry(7), None, EXTENT) is None  # an environment has no position
 
 
-def test_gizmo_rotation_rotates_the_emission_of_lights() -> None:
+def test_rotating_the_gizmo_rotates_the_direction_and_edges_of_lights() -> None:
     """A quarter turn about x rotates a spot from down to +z, and the edges of a rectangle light likewise."""
     turn = np.eye(4)
     turn[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
@@ -230,7 +230,7 @@ def test_gizmo_rotation_rotates_the_emission_of_lights() -> None:
     np.testing.assert_allclose(disk.direction, (0.0, 0.0, 1.0), atol=1e-9)  # pyright: ignore
 
 
-def test_inspector_fields_edit_the_selected_scene_entry() -> None:
+def test_fields_of_the_inspector_edit_the_selected_scene_entry() -> None:
     """Position, scale, material and visibility of a box, and the angles of a spot in degrees, are applied."""
     edited = put_field(document(), 0, "position", (0.0, 0.0, 9.0))
     edited = put_field(edited, 0, "scale", 0.5)
@@ -247,7 +247,7 @@ def test_inspector_fields_edit_the_selected_scene_entry() -> None:
         put_field(edited, 0, "material.roughness", 3.0)
 
 
-def test_place_on_ground_uses_the_lowest_point_of_the_other_objects() -> None:
+def test_place_on_ground_puts_an_object_as_low_as_the_lowest_point_of_the_others() -> None:
     """With y down, the box's lowest point moves to that of the floor."""
     stood = with_entry_on_ground(document(), 0).scene().meshes[0]
     assert stood.bounds()[1][1] == pytest.approx(4.5)
@@ -267,7 +267,7 @@ def walker(folder: Path) -> ls.io.SceneDocument:
 
 
 @pytest.mark.parametrize("time", [0.0, 1.0, 2.0])
-def test_dragging_an_actor_moves_its_whole_motion(tmp_path: Path, time: float) -> None:
+def test_dragging_an_actor_at_one_time_moves_it_at_all_times(tmp_path: Path, time: float) -> None:
     """The actor is at the gizmo at the time of the drag and keeps its size."""
     document = walker(tmp_path)
     before = document.scene(time).splats[0].transform
@@ -276,7 +276,7 @@ def test_dragging_an_actor_moves_its_whole_motion(tmp_path: Path, time: float) -
     np.testing.assert_allclose(after, move @ before, atol=1e-9)
 
 
-def test_bounding_boxes_enclose_scene_entries_and_are_cached(tmp_path: Path) -> None:
+def test_bounding_boxes_of_scene_entries_in_the_viewer_enclose_them_and_are_cached(tmp_path: Path) -> None:
     """Boxes are in file coordinates for any pose; only changed assets are measured again."""
     boxes, start = BoxCache(), document()
     box = boxes.of(start.entry(0))
@@ -316,7 +316,7 @@ def captured() -> ls.io.SceneDocument:
     return ls.io.SceneDocument.of(replace(ball, means=means))
 
 
-def test_crop_removes_gaussians_outside_the_slider_ranges() -> None:
+def test_crop_sliders_of_the_viewer_remove_gaussians_outside_their_ranges() -> None:
     """An end at its limit removes nothing, not even stray Gaussians; with all ends at their limits there is no crop."""
     start, session = captured(), Session(Options())
     everything, reach = crop_ranges(start, 0, session)
@@ -333,13 +333,13 @@ def test_crop_removes_gaussians_outside_the_slider_ranges() -> None:
     assert "crop_low" not in cropped(half, 0, reach, reach, everything).entry(0).table
 
 
-def test_crop_table_lists_the_slider_ends_of_each_axis() -> None:
+def test_crop_table_of_the_viewer_lists_both_slider_ends_of_each_axis() -> None:
     """The table has one row for each axis."""
     ends = np.array([[-1.0, 0.25, 1e-3], [2.0, 1000.5, 12.3456]])
     assert crop_table(ends).splitlines()[2:] == ["| x | -1 | 2 |", "| y | 0.25 | 1000 |", "| z | 0.001 | 12.35 |"]
 
 
-def test_meshes_added_in_the_viewer_are_placed_as_by_insert() -> None:
+def test_meshes_added_in_the_viewer_have_the_position_and_scale_of_insert() -> None:
     """Beside captures, `ls.insert` gives position and scale; beside meshes, the new mesh does not overlap them."""
     capture = random_gaussians(3, count=200)
     for around in (ls.Scene([capture], up="z-up"), ls.Scene(meshes=[ls.box(1.0)])):
@@ -373,7 +373,7 @@ def test_added_environment_image_replaces_the_existing_one(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("aspect", [0.46, 1.2, 2.0])
-def test_lights_added_in_the_viewer_are_in_view_and_light_the_centre_equally(aspect: float) -> None:
+def test_lights_of_every_type_added_in_the_viewer_light_the_scene_centre_equally(aspect: float) -> None:
     """Any page width works; each type gives the same irradiance at the orbit centre, by closed forms."""
     pose = Pose.through(ls.Camera.look_at((1.0, 2.0, -4.0), (0.5, 0.0, 1.0), (0.0, -1.0, 0.0)), 3.0)
     pose = replace(pose, aspect=aspect)
@@ -413,7 +413,7 @@ def test_mesh_material_type_can_be_changed_and_restored() -> None:
     assert shading_of(changed.changed(0, material=None).entry(0)) == "as in the file"
 
 
-def test_ground_grid_is_perpendicular_to_up_with_power_of_ten_spacing() -> None:
+def test_ground_grid_of_the_viewer_is_horizontal_with_a_power_of_ten_spacing() -> None:
     """The grid has the requested size."""
     outline = grid_outline((1.0, 2.0, 3.0), (0.0, -1.0, 0.0), 6.0)
     points = np.concatenate(outline.lines)
@@ -421,7 +421,7 @@ def test_ground_grid_is_perpendicular_to_up_with_power_of_ten_spacing() -> None:
     assert len(outline.lines) == 2 * 7 and np.ptp(points[:, 0]) == pytest.approx(6.0)
 
 
-def test_insets_change_only_the_lower_left_corner_of_the_image() -> None:
+def test_inset_images_of_the_viewer_cover_only_the_lower_left_corner() -> None:
     """The framed insets are in the lower left; the rest of the image is unchanged."""
     frame = ls.render(ls.Scene(meshes=[ls.box(2.0)]), camera(), device="cpu")
     picture = np.asarray(frame, np.uint8)
@@ -446,7 +446,7 @@ def test_selection_sphere_encloses_the_selected_object() -> None:
 
 
 @pytest.mark.parametrize("number", [3, 4, 5])
-def test_light_target_can_be_edited_as_a_direction(number: int) -> None:
+def test_editing_the_direction_of_a_light_replaces_its_target(number: int) -> None:
     """Editing the direction of a light with a target replaces the target."""
     start = document()
     keys = {3: {"direction": None}, 4: {"direction": None, "position": [0, -3, 0]}, 5: {"edge_u": None, "edge_v": None}}
@@ -457,7 +457,7 @@ def test_light_target_can_be_edited_as_a_direction(number: int) -> None:
     np.testing.assert_allclose(getattr(light, name), value, atol=1e-9)
 
 
-def test_quick_number_edits_merge_into_one_undo_but_choices_do_not() -> None:
+def test_dragging_a_slider_is_one_undo_step_and_each_choice_is_its_own() -> None:
     """Dragging a slider is one undo step; choosing two pipelines is two steps."""
     session = Session(Options())
     session.open(State(document()))
@@ -506,7 +506,7 @@ def test_long_names_of_uploads_are_shortened_and_keep_their_extension(tmp_path: 
     assert free_name(tmp_path, "x" * 400 + ".ply") != path
 
 
-def test_displayed_command_selects_an_existing_animation_frame(tmp_path: Path) -> None:
+def test_command_displayed_by_the_viewer_selects_an_existing_animation_frame(tmp_path: Path) -> None:
     """The end of the animation maps to the last frame; if all actors are hidden, the command renders a still image."""
     session = Session(Options())
     session.open(State(walker(tmp_path).with_animation(duration=2.0, fps=5.0)))
@@ -519,7 +519,7 @@ def test_displayed_command_selects_an_existing_animation_frame(tmp_path: Path) -
     assert command_line(Path("a.toml"), pose, session).startswith("lumisplat render")
 
 
-def test_undo_history_is_limited_by_capture_memory() -> None:
+def test_undo_history_is_shortened_if_its_captures_take_too_much_memory() -> None:
     """Each crop creates a capture; edits that share captures with the current state cost nothing."""
     capture = ls.gaussians_from_mesh(ls.box(1.0), 1000, seed=0)
     states = [State(ls.io.SceneDocument.of(capture))]
@@ -534,7 +534,7 @@ def test_undo_history_is_limited_by_capture_memory() -> None:
     assert limit_undo_memory(states[:-1], states[-1]) == states[:-1]
 
 
-def test_undo_memory_includes_environment_images() -> None:
+def test_memory_limit_of_the_undo_history_includes_environment_images() -> None:
     """Each undo state keeps its own environment image."""
     images = [np.full((32, 64, 3), value, np.float32) for value in (0.5, 1.0, 2.0)]
     states = [State(ls.io.SceneDocument.of(ls.Scene(lights=[ls.LightEnvironment(image=image)]))) for image in images]
@@ -548,7 +548,7 @@ def arrays_of(gaussians: ls.Gaussians) -> list[np.ndarray]:
     return [value for one in fields(gaussians) if isinstance(value := getattr(gaussians, one.name), np.ndarray)]
 
 
-def test_displayed_command_has_the_samples_of_the_settings(tmp_path: Path) -> None:
+def test_command_displayed_by_the_viewer_has_the_sample_count_of_the_settings(tmp_path: Path) -> None:
     """Samples accumulated in the image do not count; without a setting there is no option."""
     session = Session(Options())
     session.open(State(ls.io.SceneDocument.of(cloud()), ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=16)))
@@ -558,7 +558,7 @@ def test_displayed_command_has_the_samples_of_the_settings(tmp_path: Path) -> No
     assert "--samples" not in command_line(Path("a.toml"), pose, session)
 
 
-def test_displayed_command_repeats_loading_options_and_the_exact_view(tmp_path: Path) -> None:
+def test_command_displayed_by_the_viewer_has_loading_options_and_the_exact_view(tmp_path: Path) -> None:
     """Files with invalid Gaussians need the option again; scenes far from the origin need all digits."""
     ls.save(tmp_path / "ball.ply", cloud())
     viewer = ls.view(tmp_path / "ball.ply", device="cpu", drop_invalid=True, lod_budget=1000)
@@ -570,7 +570,7 @@ def test_displayed_command_repeats_loading_options_and_the_exact_view(tmp_path: 
 
 
 @pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
-def test_sun_direction_of_the_inspector_follows_angles_and_hour(up: tuple[float, float, float]) -> None:
+def test_sun_direction_set_in_the_inspector_follows_from_angles_or_hour(up: tuple[float, float, float]) -> None:
     """Angles round-trip for every up direction; the sun rises in the east at 6 and is highest at 12."""
     for azimuth, elevation in ((0.0, 30.0), (90.0, 5.0), (200.0, -40.0), (359.0, 80.0)):
         direction = direction_of_angles(azimuth, elevation, up)
@@ -587,7 +587,7 @@ def test_sun_direction_of_the_inspector_follows_angles_and_hour(up: tuple[float,
     np.testing.assert_allclose(direction_of_hour(12.0, up), noon.camera_from_world[2, :3], atol=1e-9)
 
 
-def test_inspector_sets_sun_angles_independently() -> None:
+def test_setting_one_sun_angle_in_the_inspector_keeps_the_other() -> None:
     """Setting one angle keeps the other; a sun given by a target gets a direction instead."""
     scene = ls.Scene(
         meshes=[ls.MeshInstance(ls.box(1.0))], lights=[ls.LightDirectional((0.3, 1.0, 0.4))], up=(0, -1, 0)
@@ -616,12 +616,12 @@ def test_inspector_sets_sun_angles_independently() -> None:
         (math.inf, 8, math.inf),
     ],
 )
-def test_numbers_are_rounded_to_fit_their_control(value: float, room: int, shown: float) -> None:
+def test_numbers_shown_in_the_viewer_are_rounded_to_fit_their_control(value: float, room: int, shown: float) -> None:
     """Numbers are neither cut off nor padded with zeros, and keep all digits before the decimal point."""
     assert rounded_for_display(value, room) == shown
 
 
-def test_editing_one_vector_component_keeps_the_others_exact() -> None:
+def test_editing_one_vector_component_in_the_viewer_keeps_all_digits_of_the_others() -> None:
     """The other components keep all their digits, although fewer digits are displayed."""
     before = (12.15493217, 0.0123456789, -3.0)
     field = Setting("position", "vector", "")
@@ -629,7 +629,7 @@ def test_editing_one_vector_component_keeps_the_others_exact() -> None:
     assert keep_unchanged_numbers(given, before) == (12.15493217, 0.5, -3.0)
 
 
-def test_first_material_edit_keeps_the_folder_and_controls_of_the_inspector(tmp_path: Path) -> None:
+def test_first_edit_of_a_material_does_not_rebuild_the_inspectors_controls(tmp_path: Path) -> None:
     """The controls stay as long as the material type stays, even if the material was the file's before the edit."""
     viewer = ls.view(ls.MeshInstance(ls.box(1.0)).mesh, height=90, device="cpu")
     viewer._loader.join()
@@ -645,7 +645,7 @@ def test_first_material_edit_keeps_the_folder_and_controls_of_the_inspector(tmp_
     viewer.close()
 
 
-def test_outliner_commands_select_hide_and_lock_entries() -> None:
+def test_commands_of_the_outliner_select_hide_and_lock_scene_entries() -> None:
     """A locked entry cannot be selected in the image or edited."""
     viewer = ls.view(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0), name="crate")]), height=90, device="cpu")
     viewer._loader.join()

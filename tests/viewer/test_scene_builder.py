@@ -49,7 +49,7 @@ def colors(scene: ls.Scene) -> list[np.ndarray]:
     return [np.asarray(instance.gaussians.sh) for instance in scene.splats]
 
 
-def test_viewer_lights_actors_as_in_animation_frames(scenes: SceneBuilder) -> None:
+def test_viewer_shows_actors_with_the_colours_that_animation_frames_give_them(scenes: SceneBuilder) -> None:
     """Floor and actor have the colours that `AvatarLighter` gives them, bit for bit."""
     wanted = animation()
     shown = scenes.of(ls.io.SceneDocument.of(wanted), CONFIG, 1.0, 0, waits=True)
@@ -59,7 +59,7 @@ def test_viewer_lights_actors_as_in_animation_frames(scenes: SceneBuilder) -> No
     assert np.abs(colors(shown)[0] - colors(wanted.scene)[0]).max() > 0.1  # there is a shadow
 
 
-def test_scene_builder_returns_the_same_object_for_unchanged_inputs(scenes: SceneBuilder) -> None:
+def test_viewers_scene_builder_returns_the_same_scene_object_for_equal_inputs(scenes: SceneBuilder) -> None:
     """Another time or lighting setting gives another scene."""
     document = ls.io.SceneDocument.of(animation())
     first = scenes.of(document, CONFIG, 1.0, 0, waits=True)
@@ -84,7 +84,7 @@ def test_viewer_shows_actors_unlit_until_their_lighting_is_prepared(scenes: Scen
     np.testing.assert_array_equal(colors(scenes.of(moved, CONFIG, 1.2, 0, waits=False))[0], plain)
 
 
-def test_disabled_actor_lighting_changes_no_colour_of_floor_or_actor(scenes: SceneBuilder) -> None:
+def test_viewer_changes_no_colour_of_floor_or_actor_if_actor_lighting_is_off(scenes: SceneBuilder) -> None:
     """Without shadows and relighting, floor and actor keep their colours."""
     off = ls.config.AvatarLightingConfig(shadows=False, relight=False)
     shown = scenes.of(ls.io.SceneDocument.of(animation(off)), CONFIG, 1.0, 0, waits=True)

@@ -34,7 +34,7 @@ def shows(renderer: ls.Renderer, scene: ls.Scene, view: str) -> bool:
 
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
-def test_offered_views_are_exactly_the_views_that_frames_have(pipeline: ls.Pipeline) -> None:
+def test_views_offered_by_the_viewer_are_exactly_those_that_its_frames_have(pipeline: ls.Pipeline) -> None:
     """The test covers lit and unlit scenes, with lighting by default and explicitly on or off."""
     for scene, lighting in ((lit_scene(), None), (lit_scene(), False), (UNLIT, None), (UNLIT, True)):
         config = ls.RenderConfig(pipeline=pipeline, lighting=lighting)
@@ -44,7 +44,7 @@ def test_offered_views_are_exactly_the_views_that_frames_have(pipeline: ls.Pipel
         assert available_views(config, lit=lit) == ("color", *there), (lighting, scene.lights)
 
 
-def test_view_that_a_pipeline_lacks_falls_back_to_color() -> None:
+def test_viewer_shows_color_after_a_change_to_a_pipeline_that_lacks_the_chosen_view() -> None:
     """The view changes instead of causing an error for each frame."""
     session, problems = Session(Options()), []
     session.error_listeners.append(problems.append)
@@ -82,7 +82,7 @@ def test_settings_that_a_pipeline_does_not_use_change_no_pixel() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ls.Pipeline)
-def test_every_choice_of_an_enabled_raster_control_is_accepted(pipeline: ls.Pipeline) -> None:
+def test_every_choice_of_an_enabled_raster_control_is_valid_with_all_other_choices(pipeline: ls.Pipeline) -> None:
     """Every choice of an enabled raster setting is valid with every combination of the other raster settings."""
     combinations = itertools.product(ls.config.Projection, ls.config.RasterStrategy, ls.config.GaussianSurface)
     disabled = 0
@@ -133,7 +133,7 @@ def test_controls_of_unused_settings_are_disabled_with_a_reason() -> None:
     viewer.close()
 
 
-def test_every_choice_that_a_control_offers_is_valid() -> None:
+def test_every_choice_that_a_control_of_the_viewer_offers_is_a_valid_setting() -> None:
     """Choices of all settings and nested groups are valid; ``mean`` of shadow rays, which is not, is not offered."""
     viewer = ls.view(lit_scene(), height=90, device="cpu")
     viewer._loader.join()
@@ -154,13 +154,13 @@ def test_every_choice_that_a_control_offers_is_valid() -> None:
     viewer.close()
 
 
-def test_control_of_the_shadow_map_resolution_steps_by_8_texels() -> None:
+def test_control_of_the_shadow_map_resolution_has_steps_of_8_texels() -> None:
     """The resolution of a shadow map is a multiple of 8 texels."""
     fields = {field.name: field for field in control_settings(ls.config.DeepShadowConfig)}
     assert fields["resolution"].range.step == 8 and fields["resolution"].low == 8
 
 
-def test_checkbox_sets_a_transparent_background_and_restores_the_colour() -> None:
+def test_clearing_the_transparent_background_checkbox_restores_the_last_colour() -> None:
     """A checkbox sets a transparent background; clearing it restores the last colour."""
     viewer = ls.view(lit_scene(), height=90, device="cpu", config=ls.RenderConfig(background=None, samples=2))
     viewer._loader.join()
@@ -196,7 +196,7 @@ def test_checkbox_sets_a_transparent_background_and_restores_the_colour() -> Non
         ("set max_bounces.", "set max bounces."),
     ],
 )
-def test_viewer_messages_use_the_labels_of_controls(message: str, words: str) -> None:
+def test_messages_of_the_viewer_name_settings_by_the_labels_of_their_controls(message: str, words: str) -> None:
     """Words that are not settings are unchanged."""
     assert page_words(message).startswith(words)
 

@@ -160,7 +160,7 @@ def test_click_in_the_image_selects_the_visible_object(viewer: ls.Viewer) -> Non
         eventually(lambda: any(note.startswith("ball: Gaussian ") for note in page.notes()), "no notification arrived")
 
 
-def test_changing_the_selection_removes_the_controls_of_the_last_object(
+def test_changing_the_selection_removes_the_controls_of_the_previous_object(
     viewer: ls.Viewer, recwarn: pytest.WarningsRecorder
 ) -> None:
     """Controls of one object after another are added and removed exactly once."""
@@ -175,7 +175,7 @@ def light_id(viewer: ls.Viewer) -> int:
     return next(entry.id for entry in viewer.document.entries if entry.name == "lamp")
 
 
-def test_gizmo_drag_moves_the_light_and_one_undo_restores_it(viewer: ls.Viewer) -> None:
+def test_one_undo_restores_the_light_that_a_drag_of_the_gizmo_moved(viewer: ls.Viewer) -> None:
     """The image follows the drag; one undo restores it bit for bit."""
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -200,7 +200,7 @@ def test_gizmo_drag_moves_the_light_and_one_undo_restores_it(viewer: ls.Viewer) 
         np.testing.assert_array_equal(settled(viewer, page), moved)
 
 
-def test_controls_of_a_viewer_page_change_its_image(viewer: ls.Viewer) -> None:
+def test_choices_and_sliders_on_a_viewer_page_change_the_image(viewer: ls.Viewer) -> None:
     """A choice and a slider take effect; an invalid value is reported and changes nothing."""
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -216,7 +216,7 @@ def test_controls_of_a_viewer_page_change_its_image(viewer: ls.Viewer) -> None:
         assert viewer._session.state == state
 
 
-def test_tone_map_exposure_and_view_changes_render_no_new_samples(
+def test_changing_tone_map_exposure_or_view_in_the_viewer_renders_no_new_samples(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The last frame is tone mapped again; a change of the seed renders a new frame."""
@@ -246,7 +246,9 @@ def test_tone_map_exposure_and_view_changes_render_no_new_samples(
         assert count > 0
 
 
-def test_damaged_uploads_are_reported_and_leave_no_trace(viewer: ls.Viewer, tmp_path: Path) -> None:
+def test_damaged_uploads_to_the_viewer_are_reported_and_leave_neither_file_nor_entry(
+    viewer: ls.Viewer, tmp_path: Path
+) -> None:
     """A damaged upload leaves no entry and no file; a valid mesh becomes an entry under a safe name."""
     viewer._session.edit(lambda state: replace(state, document=document_in(tmp_path)))
     with PageClient(viewer.url) as page:
@@ -270,7 +272,7 @@ def document_in(folder: Path) -> ls.io.SceneDocument:
     return ls.io.SceneDocument.open(folder / "scene.toml")
 
 
-def test_invalid_page_messages_have_no_effect(viewer: ls.Viewer) -> None:
+def test_invalid_messages_of_a_viewer_page_have_no_effect(viewer: ls.Viewer) -> None:
     """Undecodable data, invalid cameras and values of a wrong type are ignored."""
     with PageClient(viewer.url) as page, PageClient(viewer.url) as other:
         page.look(camera())
@@ -331,7 +333,7 @@ def test_scene_saved_after_edits_renders_the_same_frame(viewer: ls.Viewer, tmp_p
     ],
     ids=["default", "soft shadows, tone mapped", "path traced", "unlit"],
 )
-def test_displayed_command_renders_the_image_of_the_page(
+def test_command_displayed_by_the_viewer_renders_the_image_of_the_page(
     viewer: ls.Viewer, tmp_path: Path, settings: dict[str, Any], exposure: float
 ) -> None:
     """The saved scene and the page's command reproduce the page's image for any settings."""
@@ -359,7 +361,7 @@ def test_displayed_command_renders_the_image_of_the_page(
     assert ls.metrics.psnr(ls.load_image(tmp_path / "view.png"), (shown / 255.0).astype(np.float32)) > 35.0
 
 
-def test_long_frame_of_a_still_view_stops_when_the_view_moves(
+def test_viewer_stops_a_long_frame_of_a_still_view_when_the_view_moves(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A sample of a still view stops when the view moves, without a message, and is rendered again later."""
@@ -398,7 +400,7 @@ def rendered_at(height: int) -> np.ndarray:
     return ls.render(lit_scene(), camera(height=height), config, device="cpu").pixels_srgb()
 
 
-def test_pages_that_never_acknowledge_frames_still_get_new_ones(viewer: ls.Viewer) -> None:
+def test_viewer_sends_new_frames_also_to_pages_that_never_acknowledge_any(viewer: ls.Viewer) -> None:
     """A client that only watches never acknowledges frames."""
     with PageClient(viewer.url, answers=False) as page:
         for step in range(4):
@@ -412,7 +414,7 @@ def page_threads() -> set[threading.Thread]:
     return {thread for thread in threading.enumerate() if thread.name == "lumisplat page"}
 
 
-def test_page_opened_after_a_lost_connection_shows_the_edited_scene(recwarn: pytest.WarningsRecorder) -> None:
+def test_page_opened_after_another_lost_its_connection_shows_the_edited_scene(recwarn: pytest.WarningsRecorder) -> None:
     """The closed page's threads end without warnings, and a new page shows the edited scene."""
     viewer = ls.view(lit_scene(), height=HEIGHT, device="cpu", config=ls.RenderConfig(samples=2))
     viewer._loader.join()
@@ -452,7 +454,7 @@ def test_closed_viewer_frees_its_port_and_threads() -> None:
         assert not thread.is_alive(), thread
 
 
-def test_view_of_a_missing_file_raises_before_any_server_starts(tmp_path: Path) -> None:
+def test_function_view_raises_for_a_missing_file_before_any_server_starts(tmp_path: Path) -> None:
     """`view` raises before any address exists."""
     for missing in (tmp_path / "a.ply", [tmp_path / "a.ply", str(tmp_path / "b.toml")]):
         threads = threading.active_count()
@@ -461,7 +463,7 @@ def test_view_of_a_missing_file_raises_before_any_server_starts(tmp_path: Path) 
         assert threading.active_count() == threads
 
 
-def test_viewer_wait_raises_the_error_of_an_unreadable_file(tmp_path: Path) -> None:
+def test_viewer_method_wait_raises_the_error_of_an_unreadable_file(tmp_path: Path) -> None:
     """The error names the file that cannot be read."""
     (tmp_path / "damaged.ply").write_bytes(b"ply, or not")
     viewer = ls.view(tmp_path / "damaged.ply", device="cpu")
@@ -470,7 +472,7 @@ def test_viewer_wait_raises_the_error_of_an_unreadable_file(tmp_path: Path) -> N
     viewer.close()
 
 
-def test_viewer_wait_raises_the_error_of_an_invalid_animation(tmp_path: Path) -> None:
+def test_viewer_method_wait_raises_the_error_of_an_invalid_animation(tmp_path: Path) -> None:
     """The captures are readable, but the animation is not; the viewer can be closed."""
     ls.save(tmp_path / "ball.ply", cloud())
     (tmp_path / "scene.toml").write_text('[[splats]]\npath = "ball.ply"\n[animation]\nfps = -3.0\n')
@@ -492,7 +494,7 @@ def test_invalid_view_options_of_a_page_are_reported_and_ignored(viewer: ls.View
         np.testing.assert_array_equal(settled(viewer, page), before)
 
 
-def test_split_comparison_renders_both_sides_at_full_quality(viewer: ls.Viewer) -> None:
+def test_split_comparison_renders_both_sides_at_full_quality_while_another_page_moves(viewer: ls.Viewer) -> None:
     """The comparison of the scene before and after edits is finished even while another page's camera moves."""
     with PageClient(viewer.url) as page, PageClient(viewer.url) as other:
         page.look(camera())
@@ -514,7 +516,7 @@ def test_split_comparison_renders_both_sides_at_full_quality(viewer: ls.Viewer) 
         assert difference(settled(viewer, page)[64:, :30], joined[64:, :30]) > 4.0, "no inset is in the left part"
 
 
-def test_numbers_typed_into_a_control_are_applied_after_a_pause(
+def test_number_typed_into_a_viewer_control_is_applied_after_a_pause_not_digit_by_digit(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Partly typed values are neither applied nor rejected; another event applies a typed value at once."""
@@ -542,7 +544,7 @@ def test_numbers_typed_into_a_control_are_applied_after_a_pause(
         )
 
 
-def test_each_shown_gizmo_gets_a_new_node_name(viewer: ls.Viewer) -> None:
+def test_each_gizmo_that_a_viewer_page_shows_gets_a_new_node_name(viewer: ls.Viewer) -> None:
     """Pages keep a gizmo's rotation by its name, so a new name prevents a wrong rotation."""
     names: list[str] = []
     for entry in (viewer.document.entries[0].id, light_id(viewer), viewer.document.entries[0].id):
@@ -572,7 +574,7 @@ def test_viewer_notifications_wait_until_a_page_is_open(viewer: ls.Viewer) -> No
         ]
 
 
-def test_render_loop_drops_a_page_closed_before_it_was_added(viewer: ls.Viewer) -> None:
+def test_viewers_render_loop_does_not_add_a_page_that_has_already_closed(viewer: ls.Viewer) -> None:
     """A closed page in the render loop would never be removed."""
     page = Page(BrowserScreen(cast(Any, None)), viewer._session.changed)
     page.close()
@@ -580,7 +582,7 @@ def test_render_loop_drops_a_page_closed_before_it_was_added(viewer: ls.Viewer) 
     assert page not in viewer._loop._pages
 
 
-def test_undo_of_a_colour_temperature_resets_its_slider(viewer: ls.Viewer) -> None:
+def test_undoing_a_colour_temperature_in_the_viewer_resets_its_slider(viewer: ls.Viewer) -> None:
     """Undo of a colour temperature resets its slider, so that the same temperature can be chosen again."""
     viewer._session.select(light_id(viewer))
     with PageClient(viewer.url) as page:
@@ -592,7 +594,7 @@ def test_undo_of_a_colour_temperature_resets_its_slider(viewer: ls.Viewer) -> No
             assert viewer._session.undo() and viewer.scene.lights[0].color == (1.0, 1.0, 1.0)
 
 
-def test_gizmo_drag_keeps_edits_of_other_pages(viewer: ls.Viewer) -> None:
+def test_dragging_the_gizmo_keeps_edits_made_meanwhile_on_other_pages(viewer: ls.Viewer) -> None:
     """An entry removed by another page stays removed, even if it is the dragged one."""
     with PageClient(viewer.url) as page:
         page.look(camera())
@@ -615,7 +617,7 @@ def test_gizmo_drag_keeps_edits_of_other_pages(viewer: ls.Viewer) -> None:
         assert not viewer.scene.lights and not page.notes()
 
 
-def test_frame_all_button_centres_the_scene_in_the_image(viewer: ls.Viewer) -> None:
+def test_button_frame_all_of_the_viewer_centres_the_scene_in_the_image(viewer: ls.Viewer) -> None:
     """From any position, the scene's centre moves to the image centre."""
     with PageClient(viewer.url) as page:
         away = ls.Camera.look_at((9.0, -0.4, -3.5), (9.0, 0.0, 0.0), UP, width=160, height=HEIGHT)
@@ -628,7 +630,7 @@ def test_frame_all_button_centres_the_scene_in_the_image(viewer: ls.Viewer) -> N
         np.testing.assert_allclose(backward / np.linalg.norm(backward), (0.0, -0.114, -0.993), atol=1e-2)
 
 
-def test_status_line_describes_the_image_of_its_page_only(viewer: ls.Viewer) -> None:
+def test_status_line_of_a_viewer_page_describes_its_own_image_not_that_of_another_page(viewer: ls.Viewer) -> None:
     """The line shows neither the size nor the samples of another page's image."""
     with PageClient(viewer.url) as wide, PageClient(viewer.url) as narrow:
         wide.look(camera())
@@ -644,7 +646,9 @@ def test_status_line_describes_the_image_of_its_page_only(viewer: ls.Viewer) -> 
             assert not any(line.startswith(other_size) for line in lines)
 
 
-def test_saving_a_scene_reports_unreadable_objects_that_it_would_drop(viewer: ls.Viewer, tmp_path: Path) -> None:
+def test_saving_a_scene_in_the_viewer_does_not_replace_a_file_with_unreadable_objects(
+    viewer: ls.Viewer, tmp_path: Path
+) -> None:
     """The file that names an unreadable object is not replaced; saving elsewhere reports the loss."""
     document_in(tmp_path)
     file = tmp_path / "scene.toml"
@@ -665,7 +669,7 @@ def test_saving_a_scene_reports_unreadable_objects_that_it_would_drop(viewer: ls
         assert (tmp_path / "other.toml").exists()
 
 
-def test_changed_settings_free_renderers_that_no_page_uses(viewer: ls.Viewer) -> None:
+def test_changed_settings_free_viewer_renderers_that_no_page_uses_any_more(viewer: ls.Viewer) -> None:
     """Only renderers of the current settings remain, and they keep the uploaded scene."""
     held, session = viewer._loop._renderers._held, viewer._session
     with PageClient(viewer.url) as page:

@@ -51,7 +51,7 @@ def test_camera_path_of_the_viewer_passes_through_its_key_views() -> None:
         assert camera.fov_y == pytest.approx(0.7, rel=1e-5) and camera.exposure == wanted.camera.exposure
 
 
-def test_deleting_a_key_view_moves_later_ones_forward() -> None:
+def test_deleting_a_key_view_of_a_camera_path_moves_later_ones_to_close_the_gap() -> None:
     """Later key views move forward to close the gap; other cameras of the file are unchanged."""
     starts = [[key["eye"][0] for key in keys_of(without_key(camera_path_document(), number))] for number in range(3)]
     times = [[key["time"] for key in keys_of(without_key(camera_path_document(), number))] for number in range(3)]
@@ -67,7 +67,7 @@ def test_deleting_a_key_view_moves_later_ones_forward() -> None:
     assert without_camera_path(twice).animation is None
 
 
-def test_swapping_key_views_keeps_their_times() -> None:
+def test_swapped_key_views_of_a_camera_path_exchange_their_times() -> None:
     """A key view swaps with its neighbour; moving the first one earlier or the last one later changes nothing."""
     moved = with_key_moved(camera_path_document(), 2, -1)
     assert [key["eye"][0] for key in keys_of(moved)] == [-1.0, 1.0, 0.0]
@@ -76,7 +76,7 @@ def test_swapping_key_views_keeps_their_times() -> None:
     assert keys_of(with_key_moved(camera_path_document(), 0, -1)) == keys_of(camera_path_document())
 
 
-def test_key_views_are_listed_with_thumbnails() -> None:
+def test_viewer_lists_the_key_views_of_its_camera_path_with_thumbnails() -> None:
     """Each key view has its time, its buttons and a thumbnail rendered by its own camera."""
     keys = keys_of(camera_path_document())
     text = keys_html(keys, ["data:a", "", "data:c"], "channel")
@@ -89,7 +89,7 @@ def test_key_views_are_listed_with_thumbnails() -> None:
     assert camera.image_size == (128, 72) and camera.fov_y == pytest.approx(0.7, rel=1e-5)
 
 
-def test_key_views_later_than_the_end_extend_the_animation() -> None:
+def test_key_view_later_than_the_end_of_the_animation_extends_it() -> None:
     """A longer animation keeps its duration."""
     document = with_key(ls.io.SceneDocument.of(lit_scene()), key(0.0), 1.0)
     longer = with_key(document.with_animation(duration=9.0, fps=10.0), key(1.0), 4.0).animation
@@ -113,7 +113,7 @@ def test_saved_camera_path_loads_with_the_same_cameras(tmp_path: Path) -> None:
         assert math.isclose(camera.fov_y, expected.fov_y, rel_tol=1e-12)
 
 
-def test_video_without_a_camera_path_uses_the_page_camera() -> None:
+def test_video_of_the_viewer_without_a_camera_path_uses_the_pages_camera() -> None:
     """The video has one frame for each time of the animation."""
     animation = ls.Animation(lit_scene(), frame_count=4)
     view = key(0.5).camera

@@ -83,7 +83,7 @@ def test_orbit_camera_right_above_the_target_can_rotate() -> None:
     assert np.isfinite(orbit.rotated(1.0, -0.5).pose(1.5).camera(90).camera_from_world).all()
 
 
-def test_orbit_camera_starts_at_the_given_view() -> None:
+def test_orbit_camera_of_a_notebook_cell_starts_at_the_given_eye_and_target() -> None:
     """The first camera looks from the eye at the target, upright, with the cell's aspect ratio."""
     wanted = ls.Camera.look_at(EYE, TARGET, UP, width=160, height=90, fov_y=0.8)
     camera = Orbit.of(EYE, TARGET, UP, 0.8).pose(16 / 9).camera(90)
@@ -91,7 +91,7 @@ def test_orbit_camera_starts_at_the_given_view() -> None:
     assert (camera.width, camera.height) == (160, 90) and camera.fy == pytest.approx(wanted.fy)
 
 
-def test_panning_moves_the_orbit_target_by_the_given_image_fractions() -> None:
+def test_panning_an_orbit_camera_moves_its_target_by_the_given_image_fractions() -> None:
     """Panning moves the target by the given fractions of the image height, without rotation."""
     before = Orbit.of(EYE, TARGET, TILTED, 0.8)
     after = before.panned(0.25, -0.1)
@@ -99,14 +99,14 @@ def test_panning_moves_the_orbit_target_by_the_given_image_fractions() -> None:
     assert after.backward == before.backward and after.distance == before.distance
 
 
-def test_zooming_changes_only_the_orbit_distance_within_limits() -> None:
+def test_zooming_an_orbit_camera_changes_its_distance_within_limits_and_nothing_else() -> None:
     """The distance is clamped between a nearest and a farthest distance."""
     orbit = Orbit.of(EYE, TARGET, UP, 0.8)
     assert orbit.zoomed(0.5, 0.1, 100.0) == replace(orbit, distance=0.5 * orbit.distance)
     assert orbit.zoomed(1e-9, 0.1, 100.0).distance == 0.1 and orbit.zoomed(1e9, 0.1, 100.0).distance == 100.0
 
 
-def test_mouse_drag_in_a_cell_rotates_the_scene_with_the_pointer() -> None:
+def test_mouse_drag_in_a_notebook_cell_makes_the_scene_follow_the_pointer() -> None:
     """Points in front of the target follow the pointer; a drag over the frame height is a full rotation."""
     mouse = pointer_control()
     near = np.array(TARGET) + 0.1 * np.array(mouse.orbit.backward)
@@ -200,7 +200,7 @@ def test_notebook_cell_shows_the_rendered_image(viewer: ls.Viewer, notebook: Any
     assert ls.metrics.psnr(shown / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
 
 
-def test_drag_in_a_notebook_cell_rotates_the_view_and_back(viewer: ls.Viewer, notebook: Any) -> None:
+def test_dragging_back_in_a_notebook_cell_restores_the_view_before_the_drag(viewer: ls.Viewer, notebook: Any) -> None:
     """The image follows the drag; dragging back restores it."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
@@ -212,7 +212,7 @@ def test_drag_in_a_notebook_cell_rotates_the_view_and_back(viewer: ls.Viewer, no
     assert difference(before, settled(viewer, notebook)) < 1.0
 
 
-def test_notebook_cell_shows_edits_of_programs_and_their_undo(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_cell_shows_scene_changes_by_code_and_their_undo(viewer: ls.Viewer, notebook: Any) -> None:
     """The cell is another page of the session: it shows a new scene, and undo restores the old one."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
@@ -265,7 +265,7 @@ def wait_for_views_that_move(viewer: ls.Viewer) -> None:
     assert begun.wait(60.0)
 
 
-def test_hidden_notebook_cells_are_not_rendered_until_visible(viewer: ls.Viewer, notebook: Any) -> None:
+def test_hidden_notebook_cell_is_not_rendered_until_it_becomes_visible(viewer: ls.Viewer, notebook: Any) -> None:
     """A cell that becomes visible shows later changes; a new browser gets an image at once."""
     viewer._repr_mimebundle_()
     before = settled(viewer, notebook)
@@ -282,7 +282,7 @@ def test_hidden_notebook_cells_are_not_rendered_until_visible(viewer: ls.Viewer,
     notebook.picture(after=count)
 
 
-def test_notebook_cells_share_one_widget_until_it_is_closed(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_cells_of_a_viewer_share_one_widget_until_it_is_closed(viewer: ls.Viewer, notebook: Any) -> None:
     """A new widget is created after the first one was closed."""
     first, again = viewer._repr_mimebundle_()[0], viewer._repr_mimebundle_()[0]
     assert first[WIDGET] == again[WIDGET]
@@ -306,7 +306,7 @@ class Buffer:
         self.frames += 1
 
 
-def test_cell_screen_waits_until_its_last_frame_is_acknowledged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook_cell_sends_its_next_frame_after_the_last_one_is_acknowledged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Acknowledgements of older frames do not count; closing ends the wait."""
     monkeypatch.setattr(notebook_cells, "ANSWER_S", 60.0)
     buffer: Any = Buffer()
@@ -334,7 +334,9 @@ def test_cell_screen_waits_until_its_last_frame_is_acknowledged(monkeypatch: pyt
     assert not second.is_alive()
 
 
-def test_notebook_cell_shows_frames_while_a_busy_kernel_acknowledges_none(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_cell_shows_new_frames_while_its_busy_kernel_acknowledges_none(
+    viewer: ls.Viewer, notebook: Any
+) -> None:
     """A running cell that edits the scene still shows new frames."""
     notebook.answers = False
     viewer._repr_mimebundle_()
@@ -381,7 +383,7 @@ def bundled_image(data: dict[str, Any]) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data["image/png"]))))
 
 
-def test_mime_bundle_without_a_kernel_has_an_image_and_text(viewer: ls.Viewer) -> None:
+def test_notebook_output_of_a_viewer_without_a_kernel_is_an_image_and_text(viewer: ls.Viewer) -> None:
     """The bundle has a PNG of the first view and the text; no page or thread is left."""
     before = page_threads()
     data, about = viewer._repr_mimebundle_()
@@ -395,13 +397,17 @@ def test_mime_bundle_without_a_kernel_has_an_image_and_text(viewer: ls.Viewer) -
     assert page_threads() == before and not viewer._loop._pages
 
 
-def test_notebook_runners_get_a_still_image(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook_converters_get_a_still_image_of_a_viewer_and_no_widget(
+    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A program such as nbconvert has a kernel but no user, so it gets no widget."""
     monkeypatch.setattr(notebook_cells, "_shell", lambda: shell(allow_stdin=False))
     assert set(viewer._repr_mimebundle_()[0]) == {"image/png", "text/plain"}
 
 
-def test_ipython_terminals_get_only_text_without_rendering(viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ipython_terminal_shows_a_viewer_as_text_and_renders_no_frame(
+    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No frame is rendered for a terminal."""
     formatter = SimpleNamespace(active_types=["text/plain"])
     monkeypatch.setattr(notebook_cells, "_shell", lambda: SimpleNamespace(display_formatter=formatter))
@@ -409,7 +415,7 @@ def test_ipython_terminals_get_only_text_without_rendering(viewer: ls.Viewer, mo
     assert viewer._repr_mimebundle_() == ({"text/plain": repr(viewer)}, {})
 
 
-def test_missing_notebook_extra_is_reported_once(
+def test_missing_package_for_notebook_widgets_is_reported_once(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The log and the text name the missing package, and the bundle has an image."""
@@ -423,7 +429,7 @@ def test_missing_notebook_extra_is_reported_once(
     assert [record.message for record in caplog.records] == [line]
 
 
-def test_mime_bundle_respects_included_and_excluded_types(viewer: ls.Viewer, notebook: Any) -> None:
+def test_notebook_output_of_a_viewer_has_only_the_requested_mime_types(viewer: ls.Viewer, notebook: Any) -> None:
     """A bundle of only text creates no widget and renders no frame."""
     assert set(viewer._repr_mimebundle_(include={"text/plain"})[0]) == {"text/plain"}
     assert set(viewer._repr_mimebundle_(exclude={WIDGET, "image/png", "image/jpeg"})[0]) == {"text/plain"}
@@ -432,7 +438,9 @@ def test_mime_bundle_respects_included_and_excluded_types(viewer: ls.Viewer, not
     assert set(viewer._repr_mimebundle_(include={WIDGET})[0]) == {WIDGET}
 
 
-def test_mime_bundle_falls_back_to_text_on_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook_output_of_a_viewer_is_text_if_rendering_raises_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A damaged file or any other error never raises in a cell."""
     (tmp_path / "damaged.ply").write_bytes(b"no capture")
     viewer = ls.view(tmp_path / "damaged.ply", device="cpu")

@@ -60,7 +60,7 @@ def test_image_joined_from_tiles_equals_a_whole_render(work) -> None:
     assert work.path("tiled/left.exr").stat().st_mtime_ns == before
 
 
-def test_tiles_of_a_single_output_file_are_joined_and_continued(work) -> None:
+def test_render_in_tiles_to_a_single_file_joins_them_and_continues_if_interrupted(work) -> None:
     """The same command continues an interrupted render; other settings are refused."""
     options = ("@capture.ply", "-o", "@huge.png", *SIZE)
     assert work.run("render", "@capture.ply", "-o", "@whole.png", *SIZE).status == 0
@@ -74,7 +74,7 @@ def test_tiles_of_a_single_output_file_are_joined_and_continued(work) -> None:
     assert refused.status == 2 and "other settings or files (background" in refused.err
 
 
-def test_path_traced_tiles_have_the_noise_of_the_whole_image(work) -> None:
+def test_path_traced_image_rendered_in_tiles_has_the_noise_of_one_rendered_whole(work) -> None:
     """The random numbers of a pixel do not depend on its tile."""
     options = ("@capture.ply", "--pipeline", "path", "--samples", "2", "--lighting", "on", *SIZE)
     assert work.run("render", *options, "-o", "@whole.png").status == 0

@@ -150,7 +150,7 @@ def test_farm_stops_after_four_failures_in_a_row(tmp_path: Path) -> None:
     assert set(range(0, 20, 2)) <= set(other.finished)
 
 
-def test_farm_stops_at_a_mistake_in_the_first_frame(tmp_path: Path) -> None:
+def test_farm_stops_if_a_wrong_setting_makes_the_first_frame_fail(tmp_path: Path) -> None:
     """A wrong setting would be repeated in all frames."""
     farm = Farm(tmp_path, 9, always(0, failed(ls.ConfigError("samples is 0"), is_mistake=True)))
     with pytest.raises(ls.ConfigError, match="samples is 0"):
@@ -237,7 +237,7 @@ def test_farm_progress_counts_finished_and_failed_frames(tmp_path: Path) -> None
     assert of_frames[0][0] == "frames, 0 of 4" and of_frames[-1][0] == "frames, 4 of 4, 2 s per frame on one worker"
 
 
-def test_farm_starts_a_frame_after_the_frames_that_it_depends_on(tmp_path: Path) -> None:
+def test_farm_starts_a_frame_after_all_frames_on_which_that_frame_depends(tmp_path: Path) -> None:
     """A frame fails if a frame that it needs has failed."""
     needs = {2: (0, 1), 4: (3,)}
     farm = Farm(tmp_path, 5, needs=needs)

@@ -107,7 +107,7 @@ def test_frames_of_killed_ray_workers_are_made_by_other_workers(
     assert len({path.name.split("_")[1] for path in (tmp_path / "made").iterdir()}) <= 4
 
 
-def test_errors_of_ray_workers_reach_the_farm_command(ray: Any, tmp_path: Path) -> None:
+def test_error_of_a_ray_worker_is_raised_by_the_farm_command(ray: Any, tmp_path: Path) -> None:
     """A missing package and a mistake are reported once; unexpected errors have their type, message and line."""
     with pytest.raises(
         ls.errors.MissingExtraError, match=r"OpenUSD needs a package .*: pip install 'lumisplat\[usd\]'"

@@ -97,7 +97,9 @@ def test_layers_of_a_frame_are_written_before_its_image(work, monkeypatch) -> No
         (("--frames", "2"), "there are 2 cameras, 0-1"),
     ],
 )
-def test_render_refuses_to_resume_unsuitable_outputs(work, options: tuple[str, ...], message: str) -> None:
+def test_render_refuses_resume_with_options_or_outputs_that_cannot_be_resumed(
+    work, options: tuple[str, ...], message: str
+) -> None:
     """Each refusal prints one line with status 2, and writes nothing."""
     before = work.files()
     refused = render(work, "out", *options)

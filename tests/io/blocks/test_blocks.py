@@ -22,7 +22,7 @@ def street(count: int = 3000, degree: int = 1) -> ls.Gaussians:
     return ls.merge([small, large])
 
 
-def test_untrusted_block_index_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_index_of_blocks_with_malicious_json_is_refused_with_a_one_line_error(tmp_path: Path) -> None:
     """Deeply nested JSON, huge integers and NUL in file names give an error that names the index."""
     folder = tmp_path / "city"
     index = ls.io.write_blocks(folder, chunks(street(200)), 40.0)
@@ -210,7 +210,7 @@ def test_plan_of_views_loads_a_block_again_only_if_blocks_exceed_the_memory(tmp_
         ls.io.plan_views(index, cameras, 0, size)
 
 
-def test_block_functions_refuse_invalid_arguments_in_one_line(tmp_path: Path) -> None:
+def test_block_functions_refuse_invalid_arguments_with_a_one_line_error(tmp_path: Path) -> None:
     """Bad cell sizes, empty or mixed captures, bad parts and unsupported cameras are refused."""
     capture = street(50)
     with pytest.raises(ls.ConfigError, match="cell is 0"):
@@ -248,7 +248,9 @@ def test_block_functions_refuse_invalid_arguments_in_one_line(tmp_path: Path) ->
         ({"blocks": 3}, "not an index of blocks"),
     ],
 )
-def test_damaged_block_index_is_refused_with_the_fault(tmp_path: Path, change: dict[str, object], message: str) -> None:
+def test_error_for_a_damaged_index_of_blocks_states_the_fault(
+    tmp_path: Path, change: dict[str, object], message: str
+) -> None:
     """The one-line error states the fault; files outside the folder are not opened."""
     ls.io.write_blocks(tmp_path, [street(50)], 1.0)
     path = tmp_path / "blocks.json"

@@ -92,7 +92,7 @@ def test_error_for_unsupported_colmap_camera_names_the_model(tmp_path, model, na
         (lambda f: write_binary(f, [(1, (0, 0, 0, 0), (0, 0, 0), 1, "a.png")]), r"image 1 \(a.png\).*zero length"),
     ],
 )
-def test_damaged_colmap_models_are_refused_with_the_file_name(tmp_path, break_it, message):
+def test_error_for_a_damaged_colmap_model_names_the_file(tmp_path, break_it, message):
     """The error is one line and begins with the file's path."""
     write_binary(tmp_path)
     break_it(tmp_path)

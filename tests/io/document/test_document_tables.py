@@ -117,7 +117,7 @@ def test_document_edits_accept_arrays_tuples_and_paths() -> None:
 
 
 @pytest.mark.parametrize("matrix", [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), "here"])
-def test_documents_refuse_invalid_transforms_in_one_line(matrix: Any) -> None:
+def test_documents_refuse_invalid_transforms_with_a_one_line_error(matrix: Any) -> None:
     """The transform is a 3 x 3 matrix, a zero matrix, NaN or text."""
     document = ls.io.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
     with pytest.raises(ls.SceneError, match="world_from_file"):

@@ -162,7 +162,7 @@ def test_edited_documents_share_all_objects_that_the_edit_does_not_change(folder
     assert before.scene() is scene and before.entry(2).lights[0].intensity == 1.0
 
 
-def test_invalid_document_edits_name_the_key_and_change_nothing(folder: Path) -> None:
+def test_error_for_an_invalid_edit_of_a_document_names_the_key_and_nothing_changes(folder: Path) -> None:
     """Unknown keys, kinds and ids, values out of range, and missing files are refused."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     entries = document.entries
@@ -410,7 +410,7 @@ def test_upright_environments_of_a_document_rotate_with_its_up_direction(tmp_pat
 
 
 @pytest.mark.parametrize("up", ["upwards", (0.0, 0.0, 0.0), (math.nan, 0.0, 1.0)])
-def test_documents_refuse_an_invalid_up_in_one_line(up: Any) -> None:
+def test_documents_refuse_an_invalid_up_direction_with_a_one_line_error(up: Any) -> None:
     """Up is an unknown word, a zero vector or NaN; the document is unchanged."""
     document = ls.io.SceneDocument.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="up is"):

@@ -64,7 +64,9 @@ def test_arrays_read_from_npz_archives_equal_those_written(tmp_path: Path, save:
     ],
     ids=["endless", "negative", "short", "long", "objects", "cut", "empty", "text", "version"],
 )
-def test_invalid_npz_archives_are_refused_in_one_line(tmp_path: Path, members: list[tuple[str, bytes]]) -> None:
+def test_invalid_npz_archives_are_refused_with_a_one_line_error(
+    tmp_path: Path, members: list[tuple[str, bytes]]
+) -> None:
     """False headers, pickled objects that would run code, and other files are refused."""
     with pytest.raises(ls.FormatError, match=f"a.npz: is damaged, or not {KIND}$"):
         read_arrays(archive(tmp_path / "a.npz", *members), KIND)
@@ -101,7 +103,7 @@ def test_npz_archives_with_overlapping_members_are_refused(tmp_path: Path) -> No
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
-def test_npz_reader_names_pipes_folders_and_missing_files(tmp_path: Path) -> None:
+def test_npz_reader_has_different_errors_for_pipes_folders_and_missing_files(tmp_path: Path) -> None:
     """The reader opens neither the pipe nor the folder."""
     os.mkfifo(tmp_path / "pipe.npz")
     with pytest.raises(ls.FormatError, match=r"pipe\.npz: is a device, a pipe or a socket"):

@@ -137,7 +137,7 @@ def test_save_with_an_unknown_extension_lists_the_supported_ones(tmp_path: Path)
     assert not list(tmp_path.iterdir())
 
 
-def test_saving_a_scene_as_ply_is_refused_with_the_scene_formats(tmp_path: Path) -> None:
+def test_error_for_saving_a_scene_as_ply_lists_the_formats_that_store_scenes(tmp_path: Path) -> None:
     """A PLY file stores only Gaussians."""
     with pytest.raises(FormatError, match=r"stores only Gaussians: save scenes and meshes as \.glb, \.gltf"):
         ls.save(tmp_path / "out.ply", cast(Any, ls.Scene()))

@@ -92,7 +92,7 @@ def test_gltf_specular_glossiness_textures_are_converted(tmp_path: Path, caplog:
     assert "become dielectrics (first materials[0] 'old')" in caplog.text
 
 
-def test_gltf_metallic_roughness_wins_over_specular_glossiness(tmp_path: Path) -> None:
+def test_gltf_material_with_both_kinds_of_values_is_read_by_metallic_roughness(tmp_path: Path) -> None:
     """Programs that write both kinds of values have converted the material themselves."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0]["extensions"] = {GLOSSY: {"diffuseFactor": [0, 0, 1, 1]}}
@@ -160,7 +160,7 @@ def test_gltf_instancing_repeats_captures_and_animated_meshes_as_well(tmp_path: 
         ({"TRANSLATION": np.zeros((2, 4), np.float32)}, "has type VEC4"),
     ],
 )
-def test_invalid_gltf_instance_attributes_name_their_node(
+def test_error_for_an_invalid_attribute_of_gltf_instances_names_the_node(
     tmp_path: Path, arrays: dict[str, np.ndarray], problem: str
 ) -> None:
     """The error is one line that names the node."""

@@ -147,7 +147,7 @@ def test_opacities_of_gltf_gaussians_outside_0_to_1_are_logits(
 
 
 @pytest.mark.parametrize("space", ["srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb"])
-def test_srgb_colours_of_gltf_gaussians_keep_their_sh_coefficients(tmp_path: Path, space: str) -> None:
+def test_sh_coefficients_of_gltf_gaussians_in_srgb_are_read_unchanged(tmp_path: Path, space: str) -> None:
     """The colour space may have any name that drafts of the extension used."""
     values = stored_values()
     read = loaded_gaussians(tmp_path, splat_gltf(values, colorSpace=space))
@@ -258,7 +258,7 @@ def test_gltf_node_scales_stretch_the_covariances_of_gaussians(
         np.testing.assert_allclose(colors_along(splat.gaussians, np.tile(own, (5, 1))), before, rtol=0, atol=1e-5)
 
 
-def test_gltf_nodes_with_one_mesh_and_equal_stretch_share_a_capture(tmp_path: Path) -> None:
+def test_gltf_nodes_that_stretch_the_same_gaussians_equally_share_one_capture(tmp_path: Path) -> None:
     """A stretched capture is stored as a second capture, once for all nodes with equal stretch."""
     gltf = splat_gltf()
     for extra in ({}, {"scale": [1, 2, 1]}, {"scale": [1, 2, 1], "translation": [5, 0, 0]}, {"scale": [0, 0, 0]}):

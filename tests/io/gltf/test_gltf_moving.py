@@ -117,7 +117,7 @@ def test_gltf_camera_with_step_interpolation_jumps_from_keyframe_to_keyframe(tmp
     np.testing.assert_allclose(path.at(2.0).eye, (0, 3, 5), atol=1e-5)
 
 
-def test_gltf_animations_over_4000_s_of_cameras_or_captures_are_refused(tmp_path: Path) -> None:
+def test_gltf_animations_of_cameras_or_captures_longer_than_4000_s_are_refused(tmp_path: Path) -> None:
     """Cameras and captures are sampled at every frame; animations of meshes may be longer."""
     slide = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
     with pytest.raises(

@@ -161,7 +161,9 @@ FEW_AND_ALL = [120, pytest.param(2000, marks=pytest.mark.deep)]
 
 
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_gltf_with_mutated_json_loads_or_is_refused_in_one_line(tmp_path: Path, whole: bytes, count: int) -> None:
+def test_gltf_with_mutated_json_either_loads_or_is_refused_with_a_one_line_error(
+    tmp_path: Path, whole: bytes, count: int
+) -> None:
     """One field is removed, replaced, changed a little, or copied from another item."""
     rng = np.random.default_rng(21)
     variants: list[bytes] = []
@@ -173,7 +175,9 @@ def test_gltf_with_mutated_json_loads_or_is_refused_in_one_line(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_gltf_with_mutated_bytes_loads_or_is_refused_in_one_line(tmp_path: Path, whole: bytes, count: int) -> None:
+def test_gltf_with_mutated_bytes_either_loads_or_is_refused_with_a_one_line_error(
+    tmp_path: Path, whole: bytes, count: int
+) -> None:
     """A few random bytes are changed, or the file is truncated."""
     rng = np.random.default_rng(22)
     variants: list[bytes] = []
@@ -187,7 +191,7 @@ def test_gltf_with_mutated_bytes_loads_or_is_refused_in_one_line(tmp_path: Path,
 
 @pytest.mark.parametrize("kind", ["rig", "scene"])
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_mutated_gltf_animations_load_or_are_refused_in_one_line(
+def test_mutated_gltf_animations_either_load_or_are_refused_with_a_one_line_error(
     tmp_path: Path, whole: bytes, count: int, kind: str
 ) -> None:
     """The file is a rig with morph targets, or a scene of captures, meshes, lights and cameras.

@@ -156,7 +156,7 @@ def two_primitives(rig: TubeRig, same_material: bool) -> Gltf:
     return gltf
 
 
-def test_rig_primitives_with_one_material_are_joined_to_one_mesh(tmp_path: Path) -> None:
+def test_rig_primitives_with_equal_material_are_joined_to_one_mesh(tmp_path: Path) -> None:
     """Primitives with different materials are separate meshes, which `poses` returns and `pose` refuses."""
     rig = TubeRig(clips={"bend": BEND})
     count, faces = len(rig.positions), len(rig.triangles)
@@ -277,7 +277,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("breaks", "problem"), BROKEN, ids=[problem[:40] for _, problem in BROKEN])
-def test_invalid_rigs_are_refused_with_file_and_item(
+def test_error_for_an_invalid_rig_names_the_file_and_the_invalid_item(
     breaks: Callable[[TubeRig], None], problem: str, tmp_path: Path
 ) -> None:
     """The one-line error names the file and the glTF item, and counts non-finite values."""

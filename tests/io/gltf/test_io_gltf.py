@@ -71,7 +71,7 @@ def test_gltf_child_transform_applies_before_that_of_its_parent(tmp_path: Path) 
     np.testing.assert_allclose(world_from_object @ (0, 1, 1, 1), (0, 0, 4, 1), atol=1e-12)
 
 
-def test_gltf_nodes_with_one_mesh_share_one_mesh_object(tmp_path: Path) -> None:
+def test_gltf_nodes_that_refer_to_the_same_mesh_share_one_mesh_object(tmp_path: Path) -> None:
     """The shared object is uploaded to the device once."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, translation=[3, 0, 0])
@@ -237,7 +237,7 @@ def test_gltf_alpha_mode_cutoff_and_factor_are_read(tmp_path: Path, caplog: pyte
     assert only_mesh(read(tmp_path, gltf)).mesh.material.alpha_mode is ls.AlphaMode.BLEND
 
 
-def test_unknown_gltf_alpha_mode_is_refused_with_the_known_ones(tmp_path: Path) -> None:
+def test_error_for_an_unknown_gltf_alpha_mode_lists_the_known_ones(tmp_path: Path) -> None:
     """The error lists 'opaque', 'mask' and 'blend'."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["alphaMode"] = "HALF"

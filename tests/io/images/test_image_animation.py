@@ -72,7 +72,9 @@ def test_gif_dithering_preserves_the_mean_colour(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", ["gif", "webp", "png"])
 @pytest.mark.parametrize("fps", [7.0, 24.0, 30.0, 50.0])
-def test_rounded_frame_durations_of_animations_do_not_drift(tmp_path: Path, suffix: str, fps: float) -> None:
+def test_rounding_frame_durations_of_saved_image_animations_causes_no_drift(
+    tmp_path: Path, suffix: str, fps: float
+) -> None:
     """Durations are rounded to the format's unit so that their sum stays right."""
     save_animation(tmp_path / f"a.{suffix}", moving_light(24, 8, 12), fps)
     _, durations = read(tmp_path / f"a.{suffix}")

@@ -144,7 +144,7 @@ def test_failed_png_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize(("name", "read"), [("a.png", read_texture), ("a.exr", read_exr)])
-def test_bytes_that_are_no_image_are_refused_with_the_file_name(
+def test_error_for_an_image_file_that_cannot_be_decoded_names_the_file(
     tmp_path: Path, name: str, read: Callable[[Path], object]
 ) -> None:
     """PNG and EXR readers raise one FormatError."""

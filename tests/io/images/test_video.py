@@ -41,7 +41,7 @@ def test_mp4_video_preserves_colours(tmp_path):
 
 
 @pytest.mark.parametrize(("fps", "exact"), [(24, Fraction(24)), (12.5, Fraction(25, 2)), (29.97, Fraction(2997, 100))])
-def test_mp4_frames_are_exactly_at_n_over_fps_seconds(tmp_path, fps, exact):
+def test_frame_number_n_of_an_mp4_video_is_shown_at_exactly_n_over_fps_seconds(tmp_path, fps, exact):
     """All frames are present and in order."""
     ramp = [np.full((32, 32, 3), level) for level in np.linspace(0.1, 0.9, 9)]
     ls.save_animation(tmp_path / "a.mp4", iter(ramp), fps=fps)
@@ -60,7 +60,7 @@ def test_mp4_frames_of_odd_size_are_padded_to_even_size(tmp_path):
     np.testing.assert_allclose(frames[0][-1, -1], 255 * 0.75, atol=3)
 
 
-def test_failed_mp4_write_leaves_the_old_file(tmp_path):
+def test_failed_write_of_an_mp4_video_keeps_the_old_file(tmp_path):
     """If a frame fails, no new file is left behind."""
     (tmp_path / "old.mp4").write_bytes(b"as before")
 

@@ -59,7 +59,7 @@ def test_mesh_readers_report_empty_missing_and_folder_paths_differently(tmp_path
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_mesh_files_truncated_anywhere_load_or_are_refused(tmp_path: Path, kind: str) -> None:
+def test_mesh_files_truncated_anywhere_either_load_or_are_refused(tmp_path: Path, kind: str) -> None:
     """A text file cut at the end of a line is a valid, shorter file."""
     extension, make = VALID[kind]
     data = make(tmp_path)
@@ -77,7 +77,7 @@ def test_mesh_files_cut_in_half_are_refused_if_the_format_stores_sizes(tmp_path:
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_mesh_files_with_random_byte_changes_load_or_are_refused(tmp_path: Path, kind: str) -> None:
+def test_mesh_files_with_random_byte_changes_either_load_or_are_refused(tmp_path: Path, kind: str) -> None:
     """Up to five bytes are replaced in random positions."""
     extension, make = VALID[kind]
     data = make(tmp_path)
@@ -105,7 +105,7 @@ def test_mesh_files_with_random_byte_changes_load_or_are_refused(tmp_path: Path,
         ("hello", "no vertex and no face, expected an OBJ file"),
     ],
 )
-def test_errors_of_obj_files_name_the_line(tmp_path: Path, text: str, expected: str) -> None:
+def test_error_in_an_obj_file_names_the_line_in_which_it_is(tmp_path: Path, text: str, expected: str) -> None:
     """Each kind of error in a face or a number is tried once."""
     refuses(tmp_path / "a.obj", text.encode(), expected)
 
@@ -153,7 +153,9 @@ def test_invalid_mesh_ply_is_refused_before_memory_is_allocated(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("properties", ["", "property int material\n"])
-def test_binary_ply_faces_without_corners_are_refused_at_once(tmp_path: Path, properties: str) -> None:
+def test_binary_ply_whose_faces_have_no_corners_is_refused_without_reading_them(
+    tmp_path: Path, properties: str
+) -> None:
     """The face element has no list property, and the header claims 10^18 faces."""
     header = (
         PLY_HEAD.format(3).replace("ascii", "binary_little_endian") + f"element face {10**18}\n{properties}end_header\n"

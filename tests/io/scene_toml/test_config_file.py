@@ -200,7 +200,9 @@ def test_settings_files_accept_on_off_and_auto_for_settings_that_may_be_unset(
         ("[render.shaddow_rays]\n", "line 2, render: unknown 'shaddow_rays', did you mean 'shadow_rays'?"),
     ],
 )
-def test_invalid_settings_are_refused_with_file_line_and_name(tmp_path: Path, text: str, problem: str) -> None:
+def test_error_for_an_invalid_setting_in_a_file_names_file_line_and_setting(
+    tmp_path: Path, text: str, problem: str
+) -> None:
     """The error is one line."""
     with pytest.raises(ls.FormatError) as caught:
         ls.load_config(write_scene(tmp_path, f"[render]\n{text}\n"))

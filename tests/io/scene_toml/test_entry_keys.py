@@ -67,7 +67,7 @@ def test_part_key_of_a_scene_file_selects_one_mesh_by_name_or_number(folder: Pat
 @pytest.mark.parametrize(
     ("part", "expected"), [('"green"', "red, blue"), ("2", "0 to 1"), ("-1", "0 to 1"), ("true", "a name")]
 )
-def test_unknown_mesh_part_is_refused_with_the_valid_ones(folder: Path, part: str, expected: str) -> None:
+def test_error_for_an_unknown_part_of_a_mesh_file_lists_the_valid_parts(folder: Path, part: str, expected: str) -> None:
     """The error lists the names or the range of numbers."""
     with pytest.raises(ls.FormatError, match=rf"line 3.*part.*{expected}"):
         load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n')
@@ -106,7 +106,7 @@ def test_crop_box_of_a_scene_file_keeps_the_gaussians_inside(folder: Path) -> No
         ("crop_low = [5.0, 5.0, 5.0]\ncrop_high = [6.0, 6.0, 6.0]\n", "no Gaussian of 3 is left"),
     ],
 )
-def test_invalid_crop_boxes_are_refused_with_their_line(folder: Path, box: str, expected: str) -> None:
+def test_error_for_an_invalid_crop_box_of_a_scene_file_names_its_line(folder: Path, box: str, expected: str) -> None:
     """A box without any Gaussian is refused, too."""
     with pytest.raises(ls.FormatError, match=expected):
         load(folder, f'[[splats]]\npath = "row.ply"\n{box}')

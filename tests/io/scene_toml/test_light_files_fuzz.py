@@ -31,7 +31,9 @@ def survives(load: Callable[[], object]) -> bool:
 
 
 @pytest.mark.parametrize("encoding", ["flat", "old", "new"])
-def test_damaged_hdr_environments_load_or_are_refused_in_one_line(tmp_path: Path, encoding: str) -> None:
+def test_damaged_hdr_environments_either_load_or_are_refused_with_a_one_line_error(
+    tmp_path: Path, encoding: str
+) -> None:
     """Bytes are changed anywhere, or the file is truncated."""
     rng = random.Random(1)
     pixels = np.repeat(np.random.default_rng(0).integers(2, 256, (4, 10, 4)), 4, axis=1).astype(np.uint8)
@@ -85,7 +87,9 @@ def spoil(document: Any, rng: random.Random) -> None:
 
 
 @pytest.mark.parametrize("files", [80, pytest.param(250, marks=pytest.mark.deep)])
-def test_gltf_with_random_json_values_loads_or_is_refused_in_one_line(tmp_path: Path, files: int) -> None:
+def test_gltf_with_random_json_values_either_loads_or_is_refused_with_a_one_line_error(
+    tmp_path: Path, files: int
+) -> None:
     """A value of any kind replaces a random value."""
     rng, path, loaded = random.Random(2), tmp_path / "a.gltf", 0
     for _ in range(files):
@@ -147,7 +151,7 @@ VALUES += " 9223372036854775807 [1e308,0,0] [1e39,1,1] 1e-320 [0,0,0] [0,0,0,0] 
 HEADINGS = ["x = 1", "[a]", "[[lights]]", "[[cameras]]", '"a.b" = 1', "[render.trace]", "[materials]"]
 
 
-def test_damaged_scene_files_load_or_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_damaged_scene_files_either_load_or_are_refused_with_a_one_line_error(tmp_path: Path) -> None:
     """Keys have values of any kind, and headings are misplaced."""
     rng, loaded = random.Random(3), 0
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

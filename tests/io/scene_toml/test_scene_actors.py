@@ -174,7 +174,9 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + "[animation.lighting]\ndirect = 2", "line 5, animation.lighting: direct is 2, expected 0.0 to 1.0"),
     ],
 )
-def test_invalid_actor_entries_are_refused_with_file_line_and_key(text: str, problem: str, folder: Path) -> None:
+def test_error_for_an_invalid_actor_of_a_scene_file_names_file_line_and_key(
+    text: str, problem: str, folder: Path
+) -> None:
     """The error is one line."""
     write_scene(folder, text)
     with pytest.raises(ls.FormatError) as caught:

@@ -70,7 +70,7 @@ def test_scene_file_material_overrides_only_the_values_that_it_states(folder: Pa
     assert (mirror.roughness, mirror.metallic, mirror.base_color) == (0.75, 1.0, (0.9, 0.8, 0.7))
 
 
-def test_scene_file_material_applies_to_all_meshes_of_the_file(folder: Path) -> None:
+def test_material_of_a_scene_file_entry_applies_to_all_meshes_of_its_mesh_file(folder: Path) -> None:
     """A mesh that the file places twice is still one mesh object."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, translation=[3, 0, 0])
@@ -159,7 +159,7 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
         (SPLAT + MESH + MESH + "sh_degree = 1", "line 7, meshes[1]: unknown 'sh_degree'"),
     ],
 )
-def test_invalid_scene_files_are_refused_with_file_line_and_key(folder, text, problem):
+def test_error_for_an_invalid_scene_file_names_file_line_and_key(folder, text, problem):
     """The error is one line."""
     with pytest.raises(ls.FormatError) as caught:
         load_text(folder, text)

@@ -152,7 +152,9 @@ def test_scene_file_without_cameras_gives_an_empty_camera_list(tmp_path: Path) -
         ("[cameras]\npath = 'x'", "line 1: cameras must be written with double brackets"),
     ],
 )
-def test_invalid_scene_file_cameras_are_refused_with_line_and_key(tmp_path: Path, text: str, problem: str) -> None:
+def test_error_for_an_invalid_camera_of_a_scene_file_names_line_and_key(
+    tmp_path: Path, text: str, problem: str
+) -> None:
     """The one-line error also names the file."""
     with pytest.raises(ls.FormatError) as caught:
         load(tmp_path, text)
@@ -173,7 +175,7 @@ VIEW_WITHOUT_UP = "[[cameras]]\neye = [0, 0, -4]\ntarget = [0, 0, 0]\n"
         ('up = [0, 3, 0]\n[[splats]]\npath = "a.ply"\n', (0, 1, 0)),
     ],
 )
-def test_scene_file_camera_up_defaults_to_the_up_of_the_scene(
+def test_up_direction_of_a_scene_file_camera_is_by_default_that_of_the_scene(
     tmp_path: Path, text: str, up: tuple[float, float, float]
 ) -> None:
     """A capture that is y down is thus not upside down in the image."""
@@ -185,14 +187,14 @@ def test_scene_file_camera_up_defaults_to_the_up_of_the_scene(
 
 
 @pytest.mark.parametrize("text", ['up = "sideways"\n', "up = [0, 0, 0]\n", "up = 3\n", 'up = "y-up"\nup = "y-down"\n'])
-def test_invalid_up_of_a_scene_file_is_refused_at_its_line(tmp_path: Path, text: str) -> None:
+def test_error_for_an_invalid_up_key_of_a_scene_file_names_its_line(tmp_path: Path, text: str) -> None:
     """The error names the file, the line and the key."""
     with pytest.raises(ls.FormatError) as caught:
         load(tmp_path, text + VIEW_WITHOUT_UP)
     refuses(caught, tmp_path, "up" if text.count("up =") == 1 else "TOML")
 
 
-def test_up_key_of_a_scene_file_is_the_up_of_the_loaded_scene(tmp_path: Path) -> None:
+def test_up_key_of_a_scene_file_sets_the_up_direction_of_the_loaded_scene(tmp_path: Path) -> None:
     """Framing without cameras and upright entries use this up direction, too."""
     ls.save(tmp_path / "a.ply", one_gaussian())
     scene = ls.load(write_scene(tmp_path, 'up = "z-up"\n[[splats]]\npath = "a.ply"\n'))

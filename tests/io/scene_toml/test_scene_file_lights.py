@@ -189,7 +189,7 @@ SPOT = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\n
         ("[environment]\nvisible = 'no'", "line 2, environment: visible is 'no', expected true or false"),
     ],
 )
-def test_invalid_scene_file_lights_are_refused_with_line_and_key(tmp_path: Path, text: str, problem: str) -> None:
+def test_error_for_an_invalid_light_of_a_scene_file_names_line_and_key(tmp_path: Path, text: str, problem: str) -> None:
     """The one-line error also names the file."""
     with pytest.raises(ls.FormatError) as caught:
         load_scene(tmp_path, text)

@@ -137,7 +137,9 @@ MESH = "[[meshes]]\npath = 'a.obj'\n"
         (MESH + "[[materials]]\nroughness = 2", "line 3: materials may appear only once"),
     ],
 )
-def test_invalid_scene_file_materials_are_refused_with_line_and_key(tmp_path: Path, text: str, problem: str) -> None:
+def test_error_for_an_invalid_material_of_a_scene_file_names_line_and_key(
+    tmp_path: Path, text: str, problem: str
+) -> None:
     """The error is one line that names the file, also for unused materials."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(ls.FormatError) as caught:

@@ -67,7 +67,7 @@ def test_error_for_a_gltf_under_the_wrong_scene_file_heading_names_the_right_one
         read(folder, f'[[{heading}]]\npath = "{name}"\n')
 
 
-def test_documents_list_glb_captures_as_splats_and_scenes_as_meshes(folder: Path) -> None:
+def test_documents_list_a_glb_capture_under_splats_and_a_glb_scene_under_meshes(folder: Path) -> None:
     """A document that opens both files has both in its scene."""
     assert ls.io.SceneDocument.kind_of(folder / "capture.glb") == "splats"
     assert ls.io.SceneDocument.kind_of(folder / "scene.glb") == "meshes"

@@ -76,7 +76,7 @@ def test_random_bytes_are_refused_by_every_capture_reader(tmp_path: Path, name: 
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_capture_files_truncated_anywhere_load_or_are_refused(tmp_path: Path, name: str) -> None:
+def test_capture_files_truncated_anywhere_either_load_or_are_refused(tmp_path: Path, name: str) -> None:
     """A refusal is a one-line error."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
@@ -86,7 +86,7 @@ def test_capture_files_truncated_anywhere_load_or_are_refused(tmp_path: Path, na
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_capture_files_with_random_byte_changes_load_or_are_refused(tmp_path: Path, name: str) -> None:
+def test_capture_files_with_random_byte_changes_either_load_or_are_refused(tmp_path: Path, name: str) -> None:
     """Half of the changes hit the first 400 bytes, which hold the header."""
     path = write_format(tmp_path, name)
     original = path.read_bytes()
@@ -102,7 +102,7 @@ def test_capture_files_with_random_byte_changes_load_or_are_refused(tmp_path: Pa
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", FUZZED)
-def test_randomly_mutated_capture_files_load_or_are_refused(tmp_path: Path, name: str) -> None:
+def test_randomly_mutated_capture_files_either_load_or_are_refused(tmp_path: Path, name: str) -> None:
     """Bytes are changed, a piece is cut out, doubled or zeroed, or the end is lost; errors are one line."""
     path = write_format(tmp_path, name)
     original = path.read_bytes()
@@ -132,7 +132,7 @@ def mutated(original: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def test_sog_with_random_byte_changes_in_meta_json_loads_or_is_refused(tmp_path: Path) -> None:
+def test_sog_with_random_byte_changes_in_meta_json_either_loads_or_is_refused(tmp_path: Path) -> None:
     """Three random bytes of the JSON text are replaced."""
     folder = unpacked(tmp_path / "sog", sog_files(capture(40), linear=False))
     original = (folder / "meta.json").read_bytes()
@@ -214,7 +214,7 @@ def test_compressed_ply_counts_beyond_the_file_size_are_refused(tmp_path: Path) 
     assert "truncated" in refused(path)
 
 
-def test_spz_gzip_stream_is_inflated_only_to_the_announced_size(tmp_path: Path) -> None:
+def test_spz_gzip_stream_is_inflated_up_to_the_announced_size_and_no_further(tmp_path: Path) -> None:
     """Further zeros in the stream take no memory."""
     header = struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 0)
     good = header + bytes([0] * 9 + [128] + [128] * 3 + [100] * 3 + [0] * 4)
@@ -322,7 +322,7 @@ def test_ply_of_points_without_opacity_and_scale_is_refused_as_a_capture(tmp_pat
         b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty list uchar int opacity\nend_header\n\x00",
     ],
 )
-def test_damaged_ply_headers_of_captures_are_refused_in_one_line(tmp_path: Path, header: bytes) -> None:
+def test_damaged_ply_headers_of_captures_are_refused_with_a_one_line_error(tmp_path: Path, header: bytes) -> None:
     """Counts are missing or negative, and types are unknown."""
     (tmp_path / "a.ply").write_bytes(header)
     refused(tmp_path / "a.ply")

@@ -99,7 +99,7 @@ def test_ksplat_sections_of_lower_sh_degree_are_padded_with_zeros(tmp_path: Path
         ("<H", 4096 + 40, (3,), "has SH degree 3, expected 0, 1 or 2"),
     ],
 )
-def test_damaged_ksplat_headers_are_refused_in_one_line(
+def test_damaged_ksplat_headers_are_refused_with_a_one_line_error(
     tmp_path: Path, layout: str, offset: int, value: tuple[int, ...], message: str
 ) -> None:
     """The error names the wrong header field."""
@@ -122,7 +122,9 @@ def test_ksplat_without_any_gaussian_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
-def test_mutated_ksplat_files_load_or_are_refused_in_one_line(tmp_path: Path, level: int, count: int) -> None:
+def test_mutated_ksplat_files_either_load_or_are_refused_with_a_one_line_error(
+    tmp_path: Path, level: int, count: int
+) -> None:
     """Bytes are changed, mostly in headers, or the end is lost."""
     path, rng = tmp_path / "a.ksplat", np.random.default_rng(level)
     original = ksplat([capture(20, 2, seed=3), capture(9, 1, seed=4)], level)

@@ -89,7 +89,7 @@ def test_capture_instance_without_a_position_is_placed_at_the_captures_map_origi
     np.testing.assert_allclose(scene.splats[0].world_means, far.means + np.array(UTM), atol=1e-6, rtol=0)
 
 
-def test_frames_of_a_capture_in_map_coordinates_equal_those_near_zero(tmp_path: Path) -> None:
+def test_frame_of_a_capture_in_map_coordinates_equals_that_of_one_near_the_origin(tmp_path: Path) -> None:
     """Camera and capture are both in map coordinates."""
     near = capture((0.0, 0.0, 0.0))
     far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
@@ -169,7 +169,7 @@ def test_edits_of_a_capture_in_map_coordinates_match_equal_edits_in_float64() ->
         ls.merge([capture((0.0, 0.0, 0.0)), far])
 
 
-def test_blocks_command_refuses_a_capture_with_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_blocks_command_refuses_a_capture_with_a_map_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Blocks store absolute float32 positions, which would round positions in map coordinates."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["blocks", str(tmp_path / "far.ply"), "-o", str(tmp_path / "far.blocks")]) == 2
@@ -177,7 +177,9 @@ def test_blocks_command_refuses_a_capture_with_an_origin(tmp_path: Path, capsys:
     assert "convert --translate=-500123" in log_line and not (tmp_path / "far.blocks").exists()
 
 
-def test_info_shows_the_origin_and_convert_can_remove_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_prints_the_map_origin_of_a_capture_and_convert_can_remove_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """``info`` has a row and a JSON key for the origin; ``convert --translate`` moves the capture to zero."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["info", str(tmp_path / "far.ply")]) == 0

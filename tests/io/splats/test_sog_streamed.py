@@ -81,14 +81,14 @@ def test_damaged_lod_meta_json_of_streamed_sog_is_refused(
     assert "\n" not in str(error.value)
 
 
-def test_unknown_level_of_streamed_sog_is_refused_with_the_valid_range(tmp_path: Path) -> None:
+def test_error_for_an_unknown_level_of_streamed_sog_states_the_valid_range(tmp_path: Path) -> None:
     """The message names level 0 as the finest and level 2 as the coarsest."""
     with pytest.raises(FormatError, match=r"has no level 3: its levels are 0 \(finest\) to 2"):
         ls.load(streamed(tmp_path), lod=3)
 
 
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
-def test_streamed_sog_with_mutated_lod_meta_json_loads_or_is_refused(tmp_path: Path, count: int) -> None:
+def test_streamed_sog_with_mutated_lod_meta_json_either_loads_or_is_refused(tmp_path: Path, count: int) -> None:
     """Characters are changed, or the end is lost; errors are one line."""
     path = streamed(tmp_path)
     original = path.read_bytes()

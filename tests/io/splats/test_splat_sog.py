@@ -91,7 +91,9 @@ def test_invalid_sog_rotation_counts_as_an_invalid_gaussian(tmp_path: Path) -> N
         ({"shN": {"codebook": [0.0] * 256, "files": ["scales.webp", "shN_labels.webp"]}}, "pixels wide, expected 192"),
     ],
 )
-def test_damaged_sog_metadata_is_refused_in_one_line(tmp_path: Path, meta: dict[str, Any], message: str) -> None:
+def test_damaged_sog_metadata_is_refused_with_a_one_line_error(
+    tmp_path: Path, meta: dict[str, Any], message: str
+) -> None:
     """The error names the folder."""
     folder = unpacked(tmp_path / "capture", changed(sog_files(capture(40), linear=False), **meta))
     with pytest.raises(FormatError, match=message) as error:

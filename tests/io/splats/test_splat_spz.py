@@ -304,7 +304,7 @@ def test_error_for_an_spz_header_field_out_of_range_names_the_field(
 
 
 @pytest.mark.data
-def test_downloaded_biker_spz_and_compressed_ply_agree(data_dir: Path) -> None:
+def test_downloaded_biker_capture_is_equal_as_spz_and_as_compressed_ply(data_dir: Path) -> None:
     """Positions agree to half a step of 12 bits and of the PLY, and so do rotations, colours and opacities."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     np.testing.assert_allclose(spz.means, ply.means, rtol=0, atol=2**-13 + 1e-6)
@@ -317,7 +317,7 @@ def test_downloaded_biker_spz_and_compressed_ply_agree(data_dir: Path) -> None:
 
 
 @pytest.mark.data
-def test_downloaded_biker_spz_and_ply_agree_only_without_mirrored_axes(data_dir: Path) -> None:
+def test_comparison_of_the_downloaded_biker_as_spz_and_ply_fails_for_mirrored_axes(data_dir: Path) -> None:
     """All eight combinations of mirrored axes are tried."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     agreeing = []

@@ -50,7 +50,7 @@ def refusal(folder: Path, **options: Any) -> str:
     return str(caught.value).replace(str(folder.parent), "")
 
 
-def test_folders_without_training_images_are_refused_with_advice(tmp_path):
+def test_error_for_a_folder_without_training_images_gives_advice(tmp_path):
     """The error states what is expected."""
     assert refusal(tmp_path).endswith(
         ": has no images with poses: expected transforms.json (nerfstudio), transforms_train.json (Blender) or a "
@@ -145,7 +145,7 @@ def test_damaged_training_images_are_refused(nerfstudio, tmp_path):
     assert "view_1.png: is not a readable image" in refusal(nerfstudio)
 
 
-def test_training_image_deleted_after_loading_is_named(nerfstudio):
+def test_error_for_a_training_image_deleted_after_loading_names_it(nerfstudio):
     """Decoding a deleted image raises an error with its name; cached images remain available."""
     views = ls.io.load_training_images(nerfstudio, hold_out=0).training
     views[0].pixels()
@@ -176,7 +176,7 @@ def test_load_training_images_refuses_invalid_settings_before_it_opens_the_folde
 
 
 @pytest.mark.parametrize("cut", [0, 4, 8, 30, 51, 58, -1, -8])
-def test_truncated_colmap_point_files_are_named(colmap, cut):
+def test_error_for_a_truncated_colmap_point_file_names_it(colmap, cut):
     """Files may end within the count, a point or a track, or be empty."""
     path = colmap / "sparse/0/points3D.bin"
     path.write_bytes(path.read_bytes()[:cut])
@@ -231,7 +231,7 @@ def survives(path: Path, data: bytes, read: Callable[[], object]) -> None:
 
 @CHECKED
 @given(*MUTATIONS)
-def test_mutated_colmap_points_load_or_are_refused(colmap, changes, cut):
+def test_mutated_colmap_points_either_load_or_are_refused(colmap, changes, cut):
     """Random bytes of points3D.bin give a one-line error or finite points."""
     path = colmap / "sparse/0/points3D.bin"
 
@@ -245,7 +245,7 @@ def test_mutated_colmap_points_load_or_are_refused(colmap, changes, cut):
 
 @CHECKED
 @given(*MUTATIONS)
-def test_mutated_colmap_images_load_or_are_refused(colmap, changes, cut):
+def test_mutated_colmap_images_either_load_or_are_refused(colmap, changes, cut):
     """Random bytes of images.bin are changed."""
     path = colmap / "sparse/0/images.bin"
     survives(path, mutated(path.read_bytes(), changes, cut), lambda: ls.io.load_training_images(colmap))
@@ -253,7 +253,7 @@ def test_mutated_colmap_images_load_or_are_refused(colmap, changes, cut):
 
 @CHECKED
 @given(*MUTATIONS)
-def test_mutated_transforms_json_loads_or_is_refused(nerfstudio, changes, cut):
+def test_mutated_transforms_json_either_loads_or_is_refused(nerfstudio, changes, cut):
     """Random bytes of transforms.json are changed."""
     path = nerfstudio / "transforms.json"
     survives(path, mutated(path.read_bytes(), changes, cut), lambda: ls.io.load_training_images(nerfstudio))
@@ -269,7 +269,7 @@ KEYS = ("file_path", "mask_path", "transform_matrix", "w", "h", "fl_x", "cx", "k
 
 @CHECKED
 @given(st.sampled_from(KEYS), VALUES, st.booleans())
-def test_random_values_in_transforms_json_load_or_are_refused(nerfstudio, key, value, shared):
+def test_random_values_in_transforms_json_either_load_or_are_refused(nerfstudio, key, value, shared):
     """Random JSON replaces a value of the file or of one frame."""
     path = nerfstudio / "transforms.json"
     content = json.loads(path.read_text())

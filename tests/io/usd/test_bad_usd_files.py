@@ -128,7 +128,7 @@ def check_mutations(tmp_path: Path, extension: str, seeds: range, *, moves: bool
 
 
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
-def test_ten_mutated_usd_files_of_each_kind_load_or_are_refused(tmp_path: Path, extension: str) -> None:
+def test_ten_mutated_usd_files_of_each_kind_either_load_or_are_refused(tmp_path: Path, extension: str) -> None:
     """Ten mutations are read, or refused in one line, for text, binary files and packages."""
     usd_core()
     check_mutations(tmp_path, extension, range(10))
@@ -136,21 +136,21 @@ def test_ten_mutated_usd_files_of_each_kind_load_or_are_refused(tmp_path: Path, 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
-def test_2000_mutated_usd_files_of_each_kind_load_or_are_refused(tmp_path: Path, extension: str) -> None:
+def test_2000_mutated_usd_files_of_each_kind_either_load_or_are_refused(tmp_path: Path, extension: str) -> None:
     """Two thousand mutations are read, or refused in one line, for text, binary files and packages."""
     usd_core()
     check_mutations(tmp_path, extension, range(2000))
 
 
 @pytest.mark.parametrize(("extension", "count"), [(".usda", 8), (".usdc", 16)])
-def test_few_mutated_usd_animations_load_or_are_refused(tmp_path: Path, extension: str, count: int) -> None:
+def test_few_mutated_usd_animations_either_load_or_are_refused(tmp_path: Path, extension: str, count: int) -> None:
     """Eight mutations are of a text file and 16 of a binary file."""
     usd_core()
     check_mutations(tmp_path, extension, range(count), moves=True)
 
 
 @pytest.mark.deep
-def test_2000_mutated_binary_usd_animations_load_or_are_refused(tmp_path: Path) -> None:
+def test_2000_mutated_binary_usd_animations_either_load_or_are_refused(tmp_path: Path) -> None:
     """The time samples of a binary file are nested lists."""
     usd_core()
     check_mutations(tmp_path, ".usdc", range(2000), moves=True)
@@ -203,7 +203,7 @@ It runs in a process of its own, because the kernel's peak value includes earlie
 """
 
 
-def test_impossible_usd_counts_take_no_memory_of_this_process(tmp_path: Path) -> None:
+def test_impossible_counts_in_a_usd_file_take_no_memory_of_the_calling_process(tmp_path: Path) -> None:
     """Counts of terabytes are in a binary layer, alone and in a package."""
     usd_core()
     paths: list[Path] = []
@@ -436,7 +436,7 @@ def test_usd_textures_in_packages_outside_the_folder_are_refused(tmp_path: Path)
     assert "names a file by the expression" in refused(path)
 
 
-def test_usd_layers_outside_the_folder_need_allow_outside(tmp_path: Path) -> None:
+def test_usd_layers_outside_the_folder_are_refused_without_allow_outside(tmp_path: Path) -> None:
     """References, payloads, sublayers and value clips outside the folder are refused by default."""
     home = tmp_path / "home"
     home.mkdir()
@@ -461,7 +461,7 @@ def test_usd_layers_outside_the_folder_need_allow_outside(tmp_path: Path) -> Non
     assert isinstance(trusted, ls.Gaussians)
 
 
-def test_usd_dome_images_outside_the_folder_or_pipes_are_refused(tmp_path: Path) -> None:
+def test_usd_dome_light_images_that_are_pipes_or_outside_the_folder_are_refused(tmp_path: Path) -> None:
     """A missing image is refused, too."""
     usd_core()
     home = tmp_path / "home"

@@ -349,7 +349,9 @@ def test_usd_cubes_spheres_and_planes_have_the_stated_sizes(tmp_path: Path) -> N
         ),
     ],
 )
-def test_invalid_usd_meshes_are_refused_or_cleaned(tmp_path: Path, geometry: str, message: str | None) -> None:
+def test_invalid_usd_meshes_are_refused_and_triangles_with_missing_vertices_dropped(
+    tmp_path: Path, geometry: str, message: str | None
+) -> None:
     """Errors are one line; a triangle with a missing vertex is dropped and counted."""
     path = write_usda(tmp_path / "a.usda", mesh(geometry=geometry))
     if message is None:

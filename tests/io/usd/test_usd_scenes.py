@@ -133,7 +133,7 @@ def test_all_features_of_a_scene_lost_in_usd_are_named_in_one_log_line(
         assert remark in line
 
 
-def test_lost_material_features_of_usd_scenes_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_material_features_that_usd_cannot_store_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The features are sheen, absorption, thin walls and simple materials."""
     usd_core()
     odd = ls.MaterialPbr(name="odd", sheen_color=(1, 0, 0), thin_walled=True, specular=0.5, attenuation_distance=2.0)

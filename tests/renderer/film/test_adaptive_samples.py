@@ -194,7 +194,7 @@ def test_path_tracer_drops_and_counts_non_finite_samples() -> None:
         ({"adaptive": "yes"}, r"^adaptive is 'yes', expected True or False$"),
     ],
 )
-def test_invalid_noise_targets_and_time_limits_are_refused_with_their_range(
+def test_error_for_an_invalid_noise_target_or_time_limit_states_its_range(
     changes: dict[str, Any], message: str
 ) -> None:
     """The error names the setting and its valid range."""

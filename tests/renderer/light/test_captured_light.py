@@ -107,7 +107,7 @@ def test_light_that_a_capture_casts_on_a_mesh_is_updated_after_the_mesh_moves(mo
     np.testing.assert_array_equal(frame.color, ls.render(scene, camera, device="cpu").color)
 
 
-def test_light_of_a_capture_on_a_mesh_agrees_with_path_tracing() -> None:
+def test_light_that_a_capture_casts_on_a_mesh_equals_that_by_path_tracing() -> None:
     """The mean brightness of the mesh agrees within 5 %."""
     along = even_directions(3000)
     colors = 0.5 + 0.4 * along[:, [1, 0, 2]]
@@ -151,7 +151,7 @@ def test_captures_do_not_light_meshes_if_the_scene_has_lights_or_lighting_is_set
     assert np.ptp(flat.color[flat.instance_index == 1], axis=0).max() < 1e-6
 
 
-def test_light_of_captures_on_meshes_does_not_depend_on_earlier_frames() -> None:
+def test_light_that_captures_cast_on_meshes_does_not_depend_on_earlier_frames() -> None:
     """A renderer that has rendered other positions gives the bits of a new renderer with any number of threads."""
     along = even_directions(3000)
     scene = ls.Scene([shell(np.where(along[:, :1] > 0.0, 0.9, 0.1) * np.ones(3))], [ball()])
@@ -166,7 +166,7 @@ def test_light_of_captures_on_meshes_does_not_depend_on_earlier_frames() -> None
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH, ls.Pipeline.REALTIME])
-def test_capture_gain_of_one_stop_doubles_the_light_of_captures_on_meshes(pipeline: ls.Pipeline) -> None:
+def test_capture_gain_of_one_stop_doubles_the_light_that_captures_cast_on_meshes(pipeline: ls.Pipeline) -> None:
     """The light doubles in every pipeline; the estimated gain exposes a grey ball like the grey room around it."""
     color = np.array([0.5, 0.5, 0.5])
     scene = ls.Scene([shell(color, radius=30.0)], [ball()])
@@ -189,7 +189,7 @@ def test_capture_gain_of_one_stop_doubles_the_light_of_captures_on_meshes(pipeli
     np.testing.assert_array_equal(mapped.pixels_srgb()[beside], plain.pixels_srgb()[beside])
 
 
-def test_light_of_a_capture_on_a_mesh_does_not_depend_on_the_sample_count() -> None:
+def test_light_that_a_capture_casts_on_a_mesh_does_not_depend_on_the_sample_count() -> None:
     """Directions are spread over samples; with one layer per light, each sample has a single direction."""
     scene = ls.Scene([shell(np.array([0.9, 0.6, 0.3]))], [ball()])
     one = light_on(scene).mean(axis=0)
@@ -197,7 +197,7 @@ def test_light_of_a_capture_on_a_mesh_does_not_depend_on_the_sample_count() -> N
     np.testing.assert_allclose(light_on(scene, aovs=("lights",), jitter=False).mean(axis=0), one, rtol=0.02)
 
 
-def test_lighting_meshes_by_captures_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_log_says_once_that_captures_light_the_meshes_of_a_scene(caplog: pytest.LogCaptureFixture) -> None:
     """Two renderers and three frames log one line, which names the setting."""
     scene = ls.Scene([shell(np.array([0.5, 0.5, 0.5]))], [ball()])
     with caplog.at_level(logging.WARNING, logger="lumisplat"):

@@ -82,7 +82,7 @@ def test_environment_light_of_a_scene_replaces_the_default_ambient_on_shadow_cat
 
 
 @PIPELINES
-def test_shadow_on_a_catcher_keeps_captured_light_that_scene_lights_cannot_explain(pipeline: ls.Pipeline) -> None:
+def test_shadow_catcher_keeps_captured_light_that_scene_lights_cannot_explain(pipeline: ls.Pipeline) -> None:
     """A floor reflects no more than it receives, so that light missing from the scene must exist, and remains."""
     dim = replace(SUN, color=(1, 1, 1), intensity=0.2)
     frame = rendered(ls.Scene([floor(0.9, ambient=0.0)], [disc()], [dim]), below(), pipeline)

@@ -72,7 +72,7 @@ def test_emissive_disc_adds_its_light_to_a_path_traced_shadow_catcher() -> None:
     assert_is(factor(scene), 1.0 + SHARE)
 
 
-def test_white_disc_reflects_light_of_the_floor_to_a_path_traced_catcher() -> None:
+def test_white_disc_reflects_light_of_the_floor_to_a_path_traced_shadow_catcher() -> None:
     """A white disc is lit by the captured floor, and its reflection lights the floor in turn."""
     shines = 0.99 * ((0.5 + 0.055) / 1.055) ** 2.4 + 0.01
     scene = ls.Scene(
@@ -84,7 +84,7 @@ def test_white_disc_reflects_light_of_the_floor_to_a_path_traced_catcher() -> No
     assert_is(factor(scene, 128), 1.0 - SHARE + SHARE * 0.8 * shines, share=0.02)
 
 
-def test_path_traced_shadow_ratio_of_a_catcher_equals_other_pipelines() -> None:
+def test_shadow_ratio_of_a_shadow_catcher_is_equal_by_path_tracing_and_other_pipelines() -> None:
     """Below a disc in sunlight, unblocked ambient light remains, or the unblocked part of an environment."""
     sun = ls.LightDirectional((0, -1, 0), intensity=2.0)
     scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(diffuse(0.0))], lights=[sun])
@@ -114,7 +114,7 @@ def test_added_black_capture_blocks_light_on_a_path_traced_shadow_catcher() -> N
     assert left.max() < 0.02
 
 
-def test_emissive_disc_adds_light_to_a_path_traced_catcher_without_environment() -> None:
+def test_emissive_disc_adds_light_to_a_path_traced_shadow_catcher_without_environment() -> None:
     """The disc's light is relative to the least irradiance that explains the floor: pi times its radiance."""
     scene = ls.Scene([captured_sheet(0.0, 0.5)], meshes=[disc(diffuse(0.0, 2.0))])
     least = np.pi * paths(ls.Scene(scene.splats), below(), 1, 0).color.mean()
@@ -122,7 +122,7 @@ def test_emissive_disc_adds_light_to_a_path_traced_catcher_without_environment()
 
 
 @pytest.mark.parametrize("visible", [True, False])
-def test_clear_pane_does_not_change_the_light_on_a_path_traced_catcher(visible: bool) -> None:
+def test_clear_pane_does_not_change_the_light_on_a_path_traced_shadow_catcher(visible: bool) -> None:
     """A pane of index 1 is between a light and the floor, whether or not rays can hit the light."""
     clear = ls.MaterialPbr(base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0)
     light = ls.LightRect((0, 2, 0), (1, 0, 0), (0, 0, 1), intensity=20.0, visible=visible)

@@ -53,7 +53,7 @@ def test_depth_order_is_a_stable_front_to_back_sort_of_the_visible_splats(parall
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_depth_order_contains_all_splats_if_all_are_visible_and_none_if_culled(parallel: bool) -> None:
+def test_depth_order_contains_exactly_the_splats_that_are_not_culled(parallel: bool) -> None:
     """The count of visible splats is 9 of 9 or 0 of 9."""
     for fill, expected in ((np.float32(1.0).view(np.uint32), 9), (CULLED, 0)):
         order = make_order(parallel)

@@ -82,7 +82,7 @@ def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
 
 
 @pytest.mark.parametrize("dilation", [0.3, 3.0])
-def test_mean_surface_of_gaussians_equals_the_float64_twin(backend: str, dilation: float) -> None:
+def test_mean_surface_of_gaussians_equals_the_float64_reference(backend: str, dilation: float) -> None:
     """Depth, weight and roughness are compared in each pixel, for relit sets among emissive ones and before a mesh."""
     scene, rough = of_many_kinds()
     camera, raster = front_camera(), replace(MEAN, dilation=dilation)

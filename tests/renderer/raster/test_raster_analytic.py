@@ -47,7 +47,7 @@ def test_rasterised_alpha_at_the_mean_of_a_gaussian_is_its_opacity(draw: Draw, o
 
 
 @pytest.mark.parametrize(("opacity", "alpha"), [(1.0, 0.99), (0.995, 0.99), (1.0 / 256.0, 0.0)])
-def test_rasterised_alpha_is_at_most_0_99_and_0_below_1_255(draw: Draw, opacity: float, alpha: float) -> None:
+def test_rasterised_alpha_is_at_most_0_99_and_is_set_to_0_below_1_255(draw: Draw, opacity: float, alpha: float) -> None:
     """The bounds 0.99 and 1/255 are those of Kerbl et al. 2023."""
     frame = draw(one_gaussian(opacity=opacity), centred_camera())
     assert frame.alpha[CENTRE] == pytest.approx(alpha, abs=1e-6)

@@ -86,7 +86,7 @@ def test_rasteriser_logs_each_unsupported_kernel_degree_of_a_capture_once(
     ]
 
 
-def test_set_split_into_instances_is_rasterised_like_the_whole_set(renderer: ls.Renderer) -> None:
+def test_gaussian_set_split_into_instances_is_rasterised_like_the_whole_set(renderer: ls.Renderer) -> None:
     """Colour, alpha, depth and normal are equal to the bit."""
     gaussians = random_gaussians(72, 200, degree=1)
     parts = [gaussians.subset(np.arange(start, 200, 3)) for start in range(3)]

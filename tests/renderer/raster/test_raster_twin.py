@@ -14,7 +14,7 @@ from support.scenes.raster_scenes import Case, cases
 
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
-def test_rasterised_frame_equals_the_float64_twin(case: Case, backend: str) -> None:
+def test_rasterised_frame_equals_the_float64_reference(case: Case, backend: str) -> None:
     """Every image equals the twin's to float32 precision, except where rounding may flip a decision.
 
     At such pixels, one splat of alpha 1/255 more or less may change the colour, and any surface may be chosen. At an

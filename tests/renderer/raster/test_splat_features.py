@@ -43,7 +43,7 @@ def with_features(
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_feature_gradients_equal_central_differences_of_the_float64_twin(antialiased: bool) -> None:
+def test_feature_gradients_equal_central_differences_of_the_float64_reference(antialiased: bool) -> None:
     """The test covers every parameter, depth and normal channels, and the features themselves."""
     gaussians, camera = cloud(4, 10, antialiased=antialiased), view()
     shown, found = with_features(ls.Scene([gaussians]), camera)

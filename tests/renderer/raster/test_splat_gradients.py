@@ -22,7 +22,7 @@ def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None)
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_raster_gradients_equal_central_differences_of_the_float64_twin(antialiased: bool) -> None:
+def test_raster_gradients_equal_central_differences_of_the_float64_reference(antialiased: bool) -> None:
     """Where two step sizes agree, the median error is below 1e-5 of a parameter's mean magnitude, the worst 1e-3."""
     gaussians, camera = cloud(antialiased=antialiased), view()
     found = gradients_of(ls.Scene([gaussians]), camera)

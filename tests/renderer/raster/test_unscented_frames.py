@@ -65,7 +65,7 @@ def test_unscented_frame_of_pixel_sized_gaussians_is_close_to_the_traced_one(nam
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_unscented_frame_equals_the_float64_twin(name: str) -> None:
+def test_unscented_frame_equals_the_float64_reference(name: str) -> None:
     """The twin uses double precision and no tiles; rounding may cross alpha thresholds in a few pixels."""
     camera, gaussians = LENSES[name], random_gaussians(3, count=40, degree=2, center=(0.0, 0.0, 2.0))
     config = replace(unscented(), background=(0.2, 0.4, 0.6))

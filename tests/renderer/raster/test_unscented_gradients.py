@@ -42,7 +42,7 @@ def gradients_of(
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
 @pytest.mark.parametrize("name", VIEWS)
-def test_unscented_gradients_equal_central_differences_of_the_float64_twin(name: str, antialiased: bool) -> None:
+def test_unscented_gradients_equal_central_differences_of_the_float64_reference(name: str, antialiased: bool) -> None:
     """Where two step sizes agree, the median error is below 1e-5 of a parameter's mean magnitude, the worst 1e-3."""
     gaussians, camera = cloud(count=9, antialiased=antialiased), VIEWS[name]
     found = gradients_of(ls.Scene([gaussians]), camera)
@@ -55,7 +55,7 @@ def test_unscented_gradients_equal_central_differences_of_the_float64_twin(name:
         assert np.median(error) < 1e-5 and error.max() < 1e-3, (key, np.median(error), error.max())
 
 
-def test_rolling_shutter_gradients_ignore_that_the_time_of_seeing_a_gaussian_changes() -> None:
+def test_rolling_shutter_gradients_that_hold_times_fixed_have_errors_below_1_percent() -> None:
     """The time at which a mean is seen affects colour and footprint; ignoring that costs a relative error of 1e-3."""
     end = np.array(view().camera_from_world)
     end[:3, 3] += (0.05, -0.03, 0.02)

@@ -108,7 +108,7 @@ def test_motion_layer_shows_the_motion_of_vertices_and_gaussians_of_deforming_ob
     check(frame, by(HERE @ np.linalg.inv(shift) @ np.linalg.inv(HERE)))
 
 
-def test_motion_layer_of_static_surfaces_is_exactly_zero() -> None:
+def test_motion_layer_of_a_static_scene_and_camera_is_exactly_zero() -> None:
     """The motion is marked as known."""
     scene = scene_of(relit(random_gaussians(3), np.eye(4)), quad(5.0, 1.0, 0.3))
     frame = motion((scene, STEPPED), (scene, STEPPED))

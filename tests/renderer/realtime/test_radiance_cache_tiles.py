@@ -173,7 +173,7 @@ def test_radiance_of_bounce_rays_from_evicted_radiance_cache_tiles_is_discarded(
         ({"unused_frames": 0}, "unused_frames is 0, expected a whole number from 1 to 10000"),
     ],
 )
-def test_invalid_radiance_cache_settings_are_refused_with_their_range(settings: dict[str, Any], message: str) -> None:
+def test_error_for_an_invalid_radiance_cache_setting_states_its_range(settings: dict[str, Any], message: str) -> None:
     """The error states the setting, its value and the range in one line."""
     with pytest.raises(ConfigError, match=re.escape(message)):
         RadianceCacheConfig(**settings)

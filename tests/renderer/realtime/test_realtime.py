@@ -106,7 +106,7 @@ def test_cpu_and_cuda_schedules_give_equal_realtime_frames(launcher: Callable[[]
         assert (error > 1e-3).mean() < 0.01
 
 
-def test_reset_realtime_renderer_equals_a_new_renderer() -> None:
+def test_realtime_frames_after_a_reset_equal_those_of_a_new_renderer() -> None:
     """The bits are equal, whatever was rendered before."""
     renderer, first = sequence(ROOM, 3)
     frame_after(renderer, ls.Scene((), ROOM.meshes[:4]), 2)

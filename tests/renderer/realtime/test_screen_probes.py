@@ -203,7 +203,7 @@ def test_screen_probes_do_not_depend_on_thread_count() -> None:
     np.testing.assert_array_equal(frames[0], frames[2])
 
 
-def test_reset_screen_probes_equal_new_screen_probes() -> None:
+def test_screen_probes_after_a_reset_equal_new_screen_probes() -> None:
     """Frames are also equal after a change of the image size."""
     used = ProbeSequence(constant(GREY))
     for step in range(3):

@@ -115,7 +115,7 @@ def test_previous_position_of_a_point_follows_from_its_instances_previous_transf
     close(sequence.splats_before(0, points), points)
 
 
-def test_previous_positions_of_still_instances_are_equal_to_the_bit() -> None:
+def test_previous_positions_of_points_on_still_instances_equal_the_present_to_the_bit() -> None:
     """For every transform the bits are equal, so that history is not resampled."""
     gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
     sequence = Sequence()
@@ -128,7 +128,7 @@ def test_previous_positions_of_still_instances_are_equal_to_the_bit() -> None:
     np.testing.assert_array_equal(sequence.mesh_before(0, 2), shown)
 
 
-def test_previous_positions_on_deforming_gaussians_rotate_and_move_with_them() -> None:
+def test_previous_positions_of_points_on_deforming_gaussians_rotate_and_move_with_them() -> None:
     """A point keeps its position in the Gaussian's frame while Gaussian and instance move and rotate."""
     before, now = capture(1), MOVES["all three"]
     rng = np.random.default_rng(3)
@@ -156,7 +156,7 @@ def bent(mesh: ls.Mesh, seed: int = 4) -> ls.Mesh:
     return replace(mesh, positions=mesh.positions + rng.normal(0.0, 0.1, mesh.positions.shape))
 
 
-def test_previous_positions_on_deforming_meshes_keep_barycentric_weights() -> None:
+def test_previous_positions_of_points_on_deforming_meshes_keep_barycentric_weights() -> None:
     """Other meshes of the scene are unchanged."""
     still, mesh = octahedron((0.0, 0.3, 0.0), 0.4), octahedron((0.1, 0.0, 0.0), 0.5)
     now = MOVES["all three"]

@@ -446,7 +446,7 @@ def test_stochastic_shadow_rays_have_the_mean_of_exact_ones(rig: ShadowRig, degr
         assert abs(float(np.mean(mean - exact))) < 4.0 / samples / math.sqrt(len(exact))
 
 
-def test_neighbouring_stochastic_shadow_rays_draw_independent_numbers(rig: ShadowRig) -> None:
+def test_neighbouring_stochastic_shadow_rays_use_independent_random_numbers(rig: ShadowRig) -> None:
     """Of many equal rays, half pass in each sample, uncorrelated with their neighbours.
 
     With shared numbers, all of them pass, or none.
@@ -490,7 +490,7 @@ def test_acceptance_scale_raises_the_probability_that_a_gaussian_blocks_a_shadow
 @pytest.mark.parametrize("samples", [256, pytest.param(1024, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("other", ["same set twice", "two sets"])
 @SHARED
-def test_stochastic_shadow_draws_of_coincident_gaussians_are_independent(
+def test_random_numbers_of_stochastic_shadows_by_coincident_gaussians_are_independent(
     rig: ShadowRig, shared: bool, other: str, samples: int
 ) -> None:
     """The two Gaussians of alpha 0.5 transmit a quarter of the light, not half."""

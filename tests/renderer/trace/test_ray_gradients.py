@@ -72,7 +72,7 @@ def check_frame(gaussians: ls.Gaussians, camera: ls.Camera, settings: ls.RenderC
 
 
 @pytest.mark.parametrize("degree", range(6))
-def test_ray_gradients_equal_central_differences_of_the_float64_twin(degree: int) -> None:
+def test_ray_gradients_equal_central_differences_of_the_float64_reference(degree: int) -> None:
     """Every parameter is compared, for each kernel degree."""
     gaussians = replace(cloud(count=COUNT), kernel_degree=degree)
     check_frame(gaussians, view(*SIZE), config(), degree=degree)

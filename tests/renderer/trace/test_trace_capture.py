@@ -30,7 +30,7 @@ def view_of(data_dir: Path, name: str, width: int) -> tuple[ls.Scene, ls.Camera]
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", EYES)
-def test_rays_through_real_captures_equal_the_float64_twin(data_dir: Path, name: str) -> None:
+def test_rays_through_real_captures_equal_the_float64_reference(data_dir: Path, name: str) -> None:
     """Mean errors of radiance and transmittance are below 1e-3, and 99 % of the iso depths within a relative 1e-3."""
     scene, camera = view_of(data_dir, name, 320)
     frame = ls.render(scene, camera, device="cpu")

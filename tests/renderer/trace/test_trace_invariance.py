@@ -136,7 +136,7 @@ def test_gaussians_at_equal_distance_are_traced_in_the_order_of_the_scene(backen
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_set_split_into_instances_is_traced_like_the_whole_set(
+def test_gaussian_set_split_into_instances_is_traced_like_the_whole_set(
     backend: str, hit_distance: ls.config.HitDistance
 ) -> None:
     """Colour, alpha, depth and normal are equal."""

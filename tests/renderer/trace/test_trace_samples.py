@@ -266,7 +266,7 @@ def test_frames_without_a_background_can_be_resumed(backend: str) -> None:
 # --- Progress and counts ---
 
 
-def test_progress_is_reported_once_per_new_sample() -> None:
+def test_rendering_progress_is_reported_once_per_new_sample() -> None:
     """The callback gets the total count; the last call has the fraction 1."""
     calls: list[tuple[str, float]] = []
     first, second = renderer("cpu", 4), renderer("cpu", 2)

@@ -29,7 +29,7 @@ def twin_of(name: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_traced_frame_equals_the_float64_twin(case: Case, backend: str) -> None:
+def test_traced_frame_equals_the_float64_reference(case: Case, backend: str) -> None:
     """Every image equals the twin's within the tolerance that the twin computes for rounding.
 
     Colours, alpha and normals are compared everywhere, index and distance of the surface where rounding cannot change
@@ -49,7 +49,7 @@ def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndar
     return scene, origins, directions, TWINS.result(trace_oracle.trace_rays, scene, origins, directions, WORLD)
 
 
-def test_single_rays_equal_the_float64_twin(backend: str) -> None:
+def test_single_rays_equal_the_float64_reference(backend: str) -> None:
     """The rays have no common origin or direction; mirrors show the background."""
     scene, origins, directions, twin = rays_and_twin()
     hits = renderer_of(backend, WORLD).trace_rays(scene, origins, directions)

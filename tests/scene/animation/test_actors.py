@@ -121,7 +121,7 @@ def test_actor_refuses_a_clip_that_its_rig_does_not_have(rig: ls.avatars.Rig) ->
         ({"lighting": 1}, "lighting is 1, expected an AvatarLightingConfig"),
     ],
 )
-def test_animation_refuses_invalid_values_naming_the_setting(settings, problem):
+def test_error_for_an_invalid_value_of_an_animation_names_the_setting(settings, problem):
     """The error names the setting in one line."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Animation(**{"scene": ls.Scene(), **settings})

@@ -69,7 +69,7 @@ NAN = float("nan")
         ({"times": ["soon"]}, "times is not an array of numbers"),
     ],
 )
-def test_invalid_arrays_of_keyframes_are_refused_naming_the_array(values, problem):
+def test_error_for_an_invalid_array_of_keyframes_names_the_array(values, problem):
     """The error names the array and the key."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Keyframes(**values)

@@ -95,7 +95,7 @@ def test_select_accepts_for_each_property_a_lower_or_an_upper_limit_or_both(
         assert rows_of(selected, capture) == np.flatnonzero(in_range).tolist()
 
 
-def test_select_keeps_gaussians_that_are_within_all_given_ranges(capture: ls.Gaussians) -> None:
+def test_select_keeps_only_gaussians_within_all_given_property_ranges(capture: ls.Gaussians) -> None:
     """A selected Gaussian is within all given ranges."""
     both = ls.editing.select(capture, opacity=(0.5, None), z=(None, 4.0))
     assert rows_of(both, capture) == np.flatnonzero((capture.opacities >= 0.5) & (capture.means[:, 2] <= 4)).tolist()
@@ -115,7 +115,7 @@ def cloud_with_strays() -> tuple[ls.Gaussians, int]:
     return ls.Gaussians(means, rotations, np.repeat(scales[:, None], 3, axis=1), np.full(count, 0.8), sh), count - 3
 
 
-def test_remove_floaters_removes_isolated_small_gaussians_but_no_wide_background() -> None:
+def test_remove_floaters_removes_isolated_small_gaussians_and_keeps_isolated_wide_ones() -> None:
     """Background Gaussians are as isolated as strays, but so wide that they reach their neighbours."""
     cloud, solid = cloud_with_strays()
     progress: list[float] = []
@@ -190,7 +190,7 @@ def test_sort_morton_permutes_gaussians_and_brings_neighbours_together(capture: 
         (lambda g: ls.merge(cast(Any, g.means[0, 0])), "captures is a float32, expected a list"),
     ],
 )
-def test_editing_functions_refuse_invalid_arguments_in_one_line(
+def test_editing_functions_refuse_invalid_arguments_with_a_one_line_error(
     capture: ls.Gaussians, change: Any, message: str
 ) -> None:
     """The error names the argument and what was expected."""
@@ -199,7 +199,7 @@ def test_editing_functions_refuse_invalid_arguments_in_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_merge_logs_material_properties_that_one_capture_lacks(
+def test_merge_of_captures_drops_and_logs_material_properties_that_one_of_them_lacks(
     capture: ls.Gaussians, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A log line names the material properties that only one of the captures has."""

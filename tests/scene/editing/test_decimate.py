@@ -23,7 +23,7 @@ def covariances(gaussians: ls.Gaussians) -> np.ndarray:
     return axes @ axes.transpose(0, 2, 1)
 
 
-def test_area_of_a_gaussian_is_the_mean_silhouette_over_all_directions() -> None:
+def test_area_of_a_gaussian_in_decimation_is_its_mean_silhouette_over_all_directions() -> None:
     """The closed form is the root mean square of sqrt(n adj(C) n) over all directions n, for a covariance C."""
     gaussians = random_gaussians(2, count=20, scale_range=(0.01, 2.0))
     directions, weights = sphere_quadrature(8)
@@ -33,7 +33,7 @@ def test_area_of_a_gaussian_is_the_mean_silhouette_over_all_directions() -> None
     np.testing.assert_allclose(areas(moments_of(gaussians).covariances), expected, rtol=1e-6)
 
 
-def test_capture_decimated_to_one_gaussian_has_the_moments_of_the_mixture() -> None:
+def test_gaussian_to_which_a_capture_is_decimated_has_mass_mean_and_covariance_of_all() -> None:
     """NumPy computes mass, mean, covariance, SH and materials of the mixture."""
     rng = np.random.default_rng(7)
     normals = unit(5, 40)
@@ -100,7 +100,7 @@ def test_decimation_does_not_merge_gaussians_of_different_colours() -> None:
     assert np.count_nonzero(purple) <= 5
 
 
-def test_decimation_merges_copies_and_transparent_gaussians_to_finite_values() -> None:
+def test_decimation_merges_a_thousand_equal_gaussians_to_the_same_gaussian() -> None:
     """A thousand copies of one Gaussian, transparent or opaque, merge to the same Gaussian in less than 40 passes."""
     one = random_gaussians(1, count=1, degree=1)
     for opacity in (0.0, 1.0):
@@ -136,7 +136,7 @@ def test_covariances_convert_to_rotations_and_scales_and_back() -> None:
 
 
 @pytest.mark.parametrize(("share", "better"), [(0.25, 6.0), (0.10, 6.0)])
-def test_decimated_capture_looks_better_than_a_random_or_most_opaque_subset(
+def test_decimation_gives_a_higher_psnr_than_keeping_random_or_the_most_opaque_gaussians(
     data_dir: Path, share: float, better: float
 ) -> None:
     """The decimated biker is closer to the original than equally many Gaussians chosen at random or by opacity."""

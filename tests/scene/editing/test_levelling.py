@@ -75,7 +75,7 @@ def test_find_up_returns_the_normal_of_the_ground_of_a_capture(
     assert 0.1 < present(found.share) < 0.7
 
 
-def test_levelled_capture_has_its_up_along_a_coordinate_axis() -> None:
+def test_levelled_capture_has_an_up_direction_along_a_coordinate_axis() -> None:
     """A levelled capture states its up along an axis, and is found to be level."""
     one, _ = turned(GARDEN, (20.0, 10.0, -15.0))
     level = ls.editing.level(one)
@@ -86,7 +86,7 @@ def test_levelled_capture_has_its_up_along_a_coordinate_axis() -> None:
 
 
 @pytest.mark.parametrize("stated", ["z-up", "y-up", (0.1, 0.2, 0.9)])
-def test_level_aligns_a_capture_with_the_axis_nearest_to_its_stated_up(stated: Any) -> None:
+def test_level_rotates_the_ground_to_the_axis_nearest_to_the_captures_stated_up_direction(stated: Any) -> None:
     """Levelling takes the axis nearest to the stated up, so that nerfstudio's files stay z up."""
     axis = np.array(ls.Scene(up="y-up" if stated == "y-up" else "z-up").up_direction)
     turn = np.cross(DOWN, axis)
@@ -97,7 +97,7 @@ def test_level_aligns_a_capture_with_the_axis_nearest_to_its_stated_up(stated: A
     assert np.std((level.means @ axis)[:3000]) < 0.02
 
 
-def test_find_up_takes_a_principal_axis_of_an_object_without_ground() -> None:
+def test_find_up_returns_a_principal_axis_for_a_captured_object_without_ground() -> None:
     """The flat back of a guitar does not count as a ground, and an upright guitar keeps its up."""
     one, up = turned(GUITAR, (20.0, 15.0, -25.0))
     found = ls.editing.find_up(ls.Scene([one]))
@@ -106,7 +106,7 @@ def test_find_up_takes_a_principal_axis_of_an_object_without_ground() -> None:
     assert off(ls.editing.find_up(ls.Scene([capture(GUITAR)])), DOWN) < 1e-5
 
 
-def test_find_up_returns_the_stated_up_of_a_capture_without_ground() -> None:
+def test_find_up_returns_the_stated_up_direction_of_a_capture_without_ground() -> None:
     """Without a ground, the stated up counts more than the object's shape."""
     up = (0.2, 0.1, 0.9)
     found = ls.editing.find_up(ls.Scene([capture(GUITAR, up=up)]))
@@ -114,14 +114,14 @@ def test_find_up_returns_the_stated_up_of_a_capture_without_ground() -> None:
     assert off(found, np.array(up) / np.linalg.norm(up)) < 1e-5
 
 
-def test_find_up_ignores_walls_if_the_capture_states_its_up() -> None:
+def test_find_up_takes_no_wall_for_the_ground_of_a_capture_with_a_stated_up_direction() -> None:
     """A plane more than 50 degrees off the stated up is no ground, however large it is."""
     wall = floor()[:, [1, 0, 2]]
     found = ls.editing.find_up(ls.Scene([capture(wall, up=DOWN)]))
     assert found.source == "stated"
 
 
-def test_find_up_reports_that_a_ball_has_no_distinct_axis() -> None:
+def test_find_up_refuses_to_guess_the_up_direction_of_a_ball_without_ground() -> None:
     """The error reports that a ball has no distinct axis, and suggests three points."""
     rng = np.random.default_rng(2)
     ball = rng.normal(size=(2000, 3))
@@ -132,7 +132,7 @@ def test_find_up_reports_that_a_ball_has_no_distinct_axis() -> None:
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
 @pytest.mark.parametrize("degrees", [*TILTS, (170.0, 10.0, 20.0)])
-def test_find_up_from_three_ground_points_is_exact_in_any_order(
+def test_find_up_from_three_ground_points_is_exact_for_any_order_of_the_points(
     degrees: tuple[float, float, float], order: tuple[int, ...]
 ) -> None:
     """The capture lies on the upper side of the plane through the points."""
@@ -157,7 +157,7 @@ def test_find_up_from_three_ground_points_is_exact_in_any_order(
         "abc",
     ],
 )
-def test_find_up_refuses_too_few_collinear_or_invalid_points(points: Any) -> None:
+def test_find_up_refuses_ground_points_that_are_too_few_collinear_or_invalid(points: Any) -> None:
     """Too few, collinear or invalid points are refused."""
     with pytest.raises(ls.SceneError, match=r"at least three points|are collinear"):
         ls.editing.find_up(ls.Scene([capture(GARDEN)]), points)
@@ -169,7 +169,7 @@ def test_find_up_refuses_a_scene_without_captures() -> None:
         ls.editing.find_up(ls.Scene())
 
 
-def test_find_up_returns_the_world_space_up_of_a_transformed_capture() -> None:
+def test_find_up_returns_the_up_direction_of_a_transformed_capture_in_world_space() -> None:
     """Up is found in world space, after the instance's transform."""
     place = ls.SplatInstance(capture(GARDEN), rotation_degrees=(90.0, 0.0, 0.0), scale_by=3.0)
     found = ls.editing.find_up(ls.Scene([place]))

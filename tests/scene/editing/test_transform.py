@@ -41,7 +41,7 @@ def test_sh_coefficients_of_degree_1_rotate_like_a_vector() -> None:
     np.testing.assert_allclose(turned @ z, z, atol=1e-15)
 
 
-def test_rotation_from_degrees_rotates_about_fixed_axes_x_first() -> None:
+def test_rotation_from_degrees_rotates_first_about_x_then_about_y_then_about_z() -> None:
     """A quarter turn about x takes y to z, which the following quarter turn about z leaves unchanged."""
     turn = rotation_from_degrees(np.array([90.0, 0.0, 90.0]))
     np.testing.assert_allclose(turn @ [0, 1, 0], [0, 0, 1], atol=1e-15)
@@ -57,7 +57,7 @@ def moved_camera(camera: ls.Camera, new_from_old: np.ndarray, scale: float) -> l
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
 @pytest.mark.parametrize(("scale", "seed"), [(1.0, 0), (2.5, 1), (0.3, 2)])
-def test_capture_and_camera_transformed_alike_give_the_same_frame(
+def test_capture_and_camera_transformed_together_give_the_same_frame(
     pipeline: ls.Pipeline, scale: float, seed: int
 ) -> None:
     """A capture of degree 3 and a camera, rotated, scaled and moved alike, give the same frame."""

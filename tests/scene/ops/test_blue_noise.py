@@ -42,7 +42,7 @@ def test_pairs_between_two_point_sets_equal_brute_force(seed: int, radius: float
 
 
 @pytest.mark.parametrize("far", [1e15, 1e30])
-def test_points_beyond_the_range_of_cell_indices_have_no_neighbours(far: float) -> None:
+def test_points_too_far_away_for_integer_cell_indices_have_no_neighbours(far: float) -> None:
     """Points beyond the range of cell indices have no neighbours, and cause no warning."""
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3)).astype(np.float32)
     strays = np.array([[far, 0.0, 0.0], [-far, far, far]], np.float32)
@@ -52,7 +52,7 @@ def test_points_beyond_the_range_of_cell_indices_have_no_neighbours(far: float) 
     }
 
 
-def test_poisson_disk_selection_spaces_points_without_gaps() -> None:
+def test_poisson_disk_selection_leaves_points_neither_too_close_nor_with_gaps() -> None:
     """Selected points of a dense square are far apart, and every other point is near a selected one."""
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.random((4000, 2)), np.zeros(4000)]).astype(np.float32)
@@ -66,7 +66,7 @@ def test_poisson_disk_selection_spaces_points_without_gaps() -> None:
     assert np.linalg.norm(points[:, None] - points[selected][None], axis=2).min(axis=1).max() < 0.87 * spacing
 
 
-def test_poisson_disk_selects_the_point_of_smaller_priority_number() -> None:
+def test_poisson_disk_selects_of_two_close_points_that_of_smaller_priority_number() -> None:
     """Of two points that are too close, the one with the smaller priority number stays."""
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [5.0, 0.0, 0.0]])
     pairs = neighbour_pairs(points, 1.0)
@@ -81,7 +81,7 @@ def test_poisson_disk_selects_the_requested_number_of_coincident_points(count: i
     assert poisson_disk(neighbour_pairs(points, 1.0), np.arange(10), count, 1.0).size == count
 
 
-def test_cell_order_places_spatial_neighbours_next_to_each_other() -> None:
+def test_sorting_points_by_grid_cell_puts_spatial_neighbours_next_to_each_other() -> None:
     """Consecutive points in cell order are much closer than in random order."""
     points = np.random.default_rng(0).random((2000, 3))
     ordered = points[cell_order(points, 0.1)]

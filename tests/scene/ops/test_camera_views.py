@@ -46,7 +46,7 @@ def tilt(found: tuple[float, float, float] | None, up: tuple[float, float, float
 
 @pytest.mark.parametrize("up", UPS)
 @pytest.mark.parametrize("degrees", [360.0, 120.0, 60.0])
-def test_up_of_cameras_around_an_object_is_vertical_within_4_degrees(
+def test_up_direction_estimated_from_cameras_around_an_object_is_right_to_4_degrees(
     up: tuple[float, float, float], degrees: float
 ) -> None:
     """Up is found within 4 degrees, also from arcs where the mean of the cameras' ups leans."""
@@ -54,7 +54,7 @@ def test_up_of_cameras_around_an_object_is_vertical_within_4_degrees(
     assert tilt(up_of_cameras(around(turn, degrees)), up) < 4.0
 
 
-def test_mean_up_of_cameras_on_an_arc_leans_by_over_10_degrees() -> None:
+def test_mean_of_the_up_vectors_of_cameras_on_an_arc_is_wrong_by_over_10_degrees() -> None:
     """On a third of a circle, looking down by 23 degrees, the mean up is off by more than 10 degrees."""
     cameras = around(np.eye(3), 120.0)
     mean = -np.mean([camera.camera_from_world[1, :3] for camera in cameras], axis=0)
@@ -62,13 +62,15 @@ def test_mean_up_of_cameras_on_an_arc_leans_by_over_10_degrees() -> None:
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_images_in_portrait_orientation_do_not_tilt_the_up_of_cameras(up: tuple[float, float, float]) -> None:
+def test_images_in_portrait_orientation_do_not_change_the_estimated_up_direction(
+    up: tuple[float, float, float],
+) -> None:
     """A third of the images in portrait orientation does not change up."""
     assert tilt(up_of_cameras(around(turn_to(up), side=3)), up) < 4.0
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_up_of_aerial_cameras_is_opposite_to_their_view_direction(up: tuple[float, float, float]) -> None:
+def test_up_direction_estimated_from_aerial_cameras_is_opposite_to_their_view(up: tuple[float, float, float]) -> None:
     """For an aircraft flying back and forth, image ups cancel, so that up is opposite to the view."""
     turn = turn_to(up)
     flown = [
@@ -79,14 +81,16 @@ def test_up_of_aerial_cameras_is_opposite_to_their_view_direction(up: tuple[floa
     assert tilt(up_of_cameras(flown), up) < 1e-6
 
 
-def test_cameras_looking_to_all_sides_with_any_roll_give_no_up() -> None:
+def test_no_up_direction_is_estimated_from_cameras_with_random_view_and_roll() -> None:
     """Cameras that look to all sides with any roll give no up."""
     everywhere = [ls.Camera.look_at((0, 0, 0), one, np.roll(one, 1)) for one in (*np.eye(3), *-np.eye(3))]
     assert up_of_cameras(everywhere) is None
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_first_view_is_a_camera_focused_where_the_optical_axes_meet(up: tuple[float, float, float]) -> None:
+def test_first_view_of_a_training_is_a_camera_focused_where_the_optical_axes_meet(
+    up: tuple[float, float, float],
+) -> None:
     """The first view has a camera's pose and lens, and focuses where the optical axes meet."""
     turn = turn_to(up)
     cameras = around(turn, 90.0)
@@ -99,7 +103,7 @@ def test_first_view_is_a_camera_focused_where_the_optical_axes_meet(up: tuple[fl
     assert 30.0 < angle < 60.0  # the middle of the arc
 
 
-def test_first_view_of_parallel_cameras_focuses_on_the_surface_ahead() -> None:
+def test_first_view_of_a_training_with_parallel_cameras_focuses_on_the_surface_ahead() -> None:
     """If no optical axes meet, the depth at the image centre gives the focus distance."""
     cameras = [ls.Camera.look_at((x, 0.0, -5.0), (x, 0.0, 0.0), (0.0, -1.0, 0.0)) for x in (-1.0, 0.0, 1.0)]
     wall = np.column_stack([*np.meshgrid(np.linspace(-3, 3, 20), np.linspace(-3, 3, 20))]).reshape(-1, 2)
@@ -109,7 +113,7 @@ def test_first_view_of_parallel_cameras_focuses_on_the_surface_ahead() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_one_camera_is_enough_for_a_first_view_and_an_up(count: int) -> None:
+def test_single_training_camera_is_enough_for_a_first_view_and_an_up_direction(count: int) -> None:
     """One image is enough for a first view and an up."""
     cameras = around(np.eye(3), count=count)
     assert up_of_cameras(cameras) is not None

@@ -16,7 +16,7 @@ def colors(sh: np.ndarray, basis: np.ndarray) -> np.ndarray:
     return np.maximum(np.einsum("dk,nkc->dnc", basis, sh.astype(np.float64)) + 0.5, 0.0)
 
 
-def test_display_sh_of_a_view_independent_colour_are_its_exact_srgb_encoding() -> None:
+def test_linear_sh_of_a_view_independent_colour_are_encoded_to_srgb_exactly() -> None:
     """A view-independent colour is encoded by the transfer function exactly."""
     linear = np.linspace(0.0, 1.5, 12).reshape(4, 1, 3)
     sh = display_sh((linear - 0.5) / SH_C0)
@@ -24,7 +24,7 @@ def test_display_sh_of_a_view_independent_colour_are_its_exact_srgb_encoding() -
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_display_sh_minimise_the_squared_error_over_directions(degree: int) -> None:
+def test_srgb_encoded_sh_have_the_least_mean_squared_error_over_directions(degree: int) -> None:
     """Changing any coefficient increases the mean squared error over many directions."""
     rng = np.random.default_rng(degree)
     sh = rng.normal(0.0, 0.15, (3, (degree + 1) ** 2, 3))
@@ -44,7 +44,7 @@ def test_display_sh_minimise_the_squared_error_over_directions(degree: int) -> N
     assert least < 0.05**2
 
 
-def test_display_sh_of_small_contrasts_scale_by_the_slope_of_the_srgb_curve() -> None:
+def test_small_linear_sh_contrasts_are_encoded_by_the_slope_of_the_srgb_curve() -> None:
     """Small display coefficients are the linear coefficients times the slope of the curve at the mean colour."""
     sh = np.zeros((1, 4, 3))
     sh[0, 2] = 1e-4

@@ -61,7 +61,7 @@ def test_estimated_normals_point_outwards_on_convex_and_concave_shapes(
     assert np.median(np.abs(cosine)) > np.cos(np.radians(5.0))
 
 
-def test_hole_in_a_shell_does_not_flip_the_estimated_normals() -> None:
+def test_estimated_normals_of_a_hollow_ball_with_a_hole_point_outwards() -> None:
     """A hole in a hollow ball does not make its inside count as outside."""
     gaussians, truth = bare(shapes.sphere(), 12_000)
     wall = gaussians.means @ unit(1, 1)[0] < 0.85
@@ -92,7 +92,7 @@ def test_distant_and_faint_gaussians_do_not_flip_the_estimated_normals() -> None
     assert np.mean(np.einsum("ij,ij->i", normals, truth) > 0.0) > 0.99
 
 
-def test_plane_fits_weight_neighbours_by_their_opacity() -> None:
+def test_planes_fitted_for_normals_weight_neighbours_by_their_opacity() -> None:
     """Faint Gaussians off the surface hardly tilt fitted planes."""
     gaussians, truth = bare(shapes.sphere(), 4000)
     off = gaussians.means * np.random.default_rng(6).uniform(0.9, 1.1, (4000, 1))
@@ -110,7 +110,7 @@ def test_estimated_normals_rotate_with_the_gaussians() -> None:
     assert normals.shape == moved.shape
 
 
-def test_estimate_normals_returns_stored_normals_unless_a_method_is_given() -> None:
+def test_estimate_normals_without_a_method_returns_the_stored_normals() -> None:
     """Stored normals are returned unless another method is requested."""
     gaussians = ls.gaussians_from_mesh(shapes.sphere(), 500)
     upward = replace(gaussians, normals=np.tile([[0.0, 1.0, 0.0]], (500, 1)))
@@ -119,7 +119,7 @@ def test_estimate_normals_returns_stored_normals_unless_a_method_is_given() -> N
     assert np.mean(cosines) > 0.99
 
 
-def test_plane_fits_find_the_surface_normals_of_spherical_gaussians() -> None:
+def test_normals_by_plane_fits_are_right_for_spherical_gaussians_on_a_surface() -> None:
     """Spherical Gaussians on a sphere have no thin axis, but planes through their means give the sphere's normals."""
     flat, truth = bare(shapes.sphere(), 4000)
     wide = flat.scales.max(axis=1, keepdims=True)
@@ -144,7 +144,7 @@ def test_single_and_coincident_gaussians_get_unit_normals(method: ls.config.Norm
             np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
 
 
-def test_estimated_normals_of_a_thin_sheet_agree_on_one_side() -> None:
+def test_estimated_normals_of_a_thin_sheet_all_point_to_the_same_side() -> None:
     """Both sides of the sheet are equally open, and the thin axes of its Gaussians have random signs."""
     flat, truth = bare(shapes.plane(2.0, 2.0), 2000)
     w, x, y, z = flat.rotations_wxyz.T
@@ -172,7 +172,7 @@ def test_estimated_normals_of_a_mesh_with_holes_point_outwards(data_dir) -> None
     assert np.mean(np.einsum("ij,ij->i", ls.estimate_normals(gaussians), truth) > 0.0) > 0.99
 
 
-def test_dense_cluster_is_subsampled_without_changing_other_normals() -> None:
+def test_estimate_normals_subsamples_a_dense_cluster_without_changing_other_normals() -> None:
     """Thousands of coincident Gaussians are not all paired, and planes elsewhere do not change."""
     rng = np.random.default_rng(0)
     sphere = rng.normal(size=(6000, 3))

@@ -37,7 +37,7 @@ def test_elevation_of_a_frame_camera_is_the_angle_above_the_horizon(up, elevatio
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_azimuth_of_a_frame_camera_turns_to_the_right(up):
+def test_increasing_azimuth_moves_a_frame_camera_to_the_right_around_the_scene(up):
     """A quarter turn moves the eye to the front camera's right, and a full turn back to the front."""
     _, _, front = placed(up, elevation=0.0)
     _, right, _ = placed(up, azimuth=0.5 * math.pi, elevation=0.0)
@@ -47,7 +47,7 @@ def test_azimuth_of_a_frame_camera_turns_to_the_right(up):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_frame_cameras_at_the_poles_have_the_orientation_of_nearby_cameras(side):
+def test_frame_camera_straight_above_or_below_is_oriented_like_one_close_to_it(side):
     """Views from straight above and below have the orientation of views close to the pole."""
     _, outward, pole = placed("y-up", azimuth=0.3, elevation=0.5 * math.pi * side)
     assert abs(outward[1]) == pytest.approx(1.0)
@@ -74,20 +74,20 @@ def test_frame_camera_centres_a_given_target():
         ({"azimuth": math.nan}, "azimuth is nan"),
     ],
 )
-def test_frame_camera_refuses_invalid_arguments_and_angles_in_degrees(arguments, message):
+def test_frame_camera_refuses_invalid_arguments_such_as_angles_in_degrees(arguments, message):
     """Invalid values are refused, above all angles in degrees."""
     with pytest.raises(ls.SceneError, match=message):
         ls.frame_camera(SCENE, **arguments)
 
 
 @pytest.mark.parametrize("up", ["sideways", (0, 0, 0), (1, 2), (math.inf, 0, 0)])
-def test_scene_refuses_an_up_that_is_not_a_direction(up):
+def test_scene_refuses_an_up_direction_that_is_no_direction(up):
     """A scene refuses an up that is not a direction."""
     with pytest.raises(ls.SceneError, match="up is"):
         ls.Scene(up=up)
 
 
-def test_model_made_upright_faces_the_frame_camera_for_any_up():
+def test_y_up_model_made_upright_looks_the_same_to_frame_camera_for_any_up_direction():
     """A y-up model rotated by `Scene.upright_wxyz` looks as in a y-up scene."""
     from lumisplat.math.transforms import rotation_matrix
 
@@ -103,7 +103,7 @@ def test_model_made_upright_faces_the_frame_camera_for_any_up():
         )
 
 
-def test_default_up_is_y_down_for_captures_and_y_up_for_meshes_alone():
+def test_default_up_direction_is_minus_y_with_captures_and_plus_y_with_meshes_alone():
     """Captures are y down, meshes alone y up, unless the scene states its up."""
     assert SCENE.up_direction == (0.0, -1.0, 0.0)
     assert ls.Scene([], [quad(1.0)]).up_direction == (0.0, 1.0, 0.0)
@@ -161,7 +161,7 @@ def test_orbit_around_a_point_keeps_the_distance_of_the_first_camera():
         ({"count": 4, "camera": "front"}, "orbit_cameras takes a Camera"),
     ],
 )
-def test_orbit_cameras_refuses_invalid_arguments_in_one_line(arguments, message):
+def test_orbit_cameras_refuses_invalid_arguments_with_a_one_line_error(arguments, message):
     """The error is one line."""
     with pytest.raises(ls.SceneError, match=message):
         ls.orbit_cameras(SCENE, **arguments)
@@ -169,7 +169,7 @@ def test_orbit_cameras_refuses_invalid_arguments_in_one_line(arguments, message)
 
 @pytest.mark.parametrize("spread", [0.0, 1.0, 1e6])
 @pytest.mark.parametrize("count", [1, 2, 50, 5000])
-def test_bulk_bounds_exclude_2_percent_of_the_opacity_at_each_end(count, spread):
+def test_bounds_for_framing_exclude_2_percent_of_the_opacity_at_each_end(count, spread):
     """The bounds equal those by sorting to the bit, even with equal heights and distant outliers."""
     rng = np.random.default_rng(count)
     heights = np.round(rng.standard_cauchy(count), 1) * spread
@@ -180,7 +180,7 @@ def test_bulk_bounds_exclude_2_percent_of_the_opacity_at_each_end(count, spread)
     assert bulk_extent(heights, weights) == tuple(heights[order[ends]])
 
 
-def test_bulk_bounds_of_a_moved_instance_move_along():
+def test_bounds_for_framing_move_with_a_moved_instance_although_they_are_cached():
     """The bulk of a moved instance moves with it, although bounds are cached."""
     capture = SCENE.splats[0].gaussians
     low, high = ls.Scene([ls.SplatInstance(capture)]).bulk_bounds()
@@ -197,7 +197,7 @@ def viewed(up: Any = None, view: ls.Camera = VIEW) -> ls.Scene:
     return ls.Scene([replace(SCENE.splats[0].gaussians, first_view=view)], up=up)
 
 
-def test_frame_camera_takes_the_first_view_of_a_capture_without_its_roll():
+def test_frame_camera_has_the_position_and_direction_of_the_first_view_without_its_roll():
     """The camera has the first view's eye and direction, and the scene's up without roll."""
     scene = viewed("y-down")
     camera = ls.frame_camera(scene)
@@ -209,7 +209,7 @@ def test_frame_camera_takes_the_first_view_of_a_capture_without_its_roll():
     assert camera.focus_distance == pytest.approx(VIEW.focus_distance)
 
 
-def test_frame_camera_of_a_narrow_frame_shows_the_width_of_the_first_view():
+def test_frame_camera_for_a_narrow_image_shows_the_whole_width_of_the_first_view():
     """In a narrower frame, the field of view grows until the first view's width fits."""
     camera = ls.frame_camera(viewed("y-down"), width=45, height=160)
     across = math.tan(0.5 * camera.fov_y) * 45 / 160
@@ -217,7 +217,7 @@ def test_frame_camera_of_a_narrow_frame_shows_the_width_of_the_first_view():
 
 
 @pytest.mark.parametrize("up", UPS)
-def test_azimuth_of_a_frame_camera_starts_at_the_first_view(up):
+def test_azimuth_0_of_frame_camera_is_the_first_view_of_the_capture(up):
     """Azimuths start at the first view; distance, target and elevation default to the first view's."""
     scene = viewed(up)
     view, upward = ls.frame_camera(scene), np.array(scene.up_direction)
@@ -233,7 +233,7 @@ def test_azimuth_of_a_frame_camera_starts_at_the_first_view(up):
 
 
 @pytest.mark.parametrize("height", [5.0, -5.0])
-def test_frame_camera_of_a_vertical_first_view_keeps_that_views_up(height):
+def test_frame_camera_keeps_the_roll_of_a_first_view_that_looks_straight_down_or_up(height):
     """The horizon is not defined for an aerial view, so the camera takes the view's own up."""
     view = ls.Camera.look_at((0.0, height, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
     camera = ls.frame_camera(viewed("y-up", view))
@@ -254,7 +254,7 @@ def pole(*more: np.ndarray) -> ls.Gaussians:
     )
 
 
-def test_frame_camera_shows_connected_thin_parts_but_no_strays():
+def test_frame_camera_shows_thin_parts_connected_to_the_scene_but_no_stray_gaussians():
     """A pole of 1 % of the opacity connects to the ball and is framed; floating strays do not widen the view."""
     strays = np.random.default_rng(6).uniform(-30.0, 30.0, (40, 3))
     without_strays, with_strays = (ls.frame_camera(ls.Scene([pole(*more)])) for more in ((), (strays,)))
@@ -266,7 +266,7 @@ def test_frame_camera_shows_connected_thin_parts_but_no_strays():
     assert low[1] > -1.0 and high[1] < 1.0  # the bulk excludes the pole
 
 
-def test_frame_camera_ignores_small_parts_across_a_gap():
+def test_frame_camera_ignores_small_parts_separated_from_the_scene_by_a_gap():
     """A second ball across a gap does not count unless it is part of the bulk."""
     other = np.array([0.0, -6.0, 0.0]) + np.random.default_rng(7).normal(size=(30, 3)) * 0.05
     with_gap = ls.frame_camera(ls.Scene([pole(other)]))

@@ -48,7 +48,7 @@ def square(count: int = COUNT) -> tuple[ls.Gaussians, float]:
     return gaussians_from_mesh(shapes.plane(1.0, 1.0), count), (1.0 / count) ** 0.5
 
 
-def test_equal_seeds_sample_identical_gaussians_and_other_seeds_differ() -> None:
+def test_equal_seeds_sample_identical_gaussians_on_a_mesh_and_different_seeds_others() -> None:
     """The same seed gives identical arrays; another seed gives another set."""
     mesh = shapes.torus(rows=16, columns=32)
     one, same, other = (gaussians_from_mesh(mesh, 500, seed=seed) for seed in (1, 1, 2))
@@ -63,7 +63,7 @@ def test_mesh_is_sampled_with_exactly_the_requested_number_of_gaussians(count: i
     assert gaussians_from_mesh(shapes.icosphere(subdivisions=2), count).count == count
 
 
-def test_default_count_depends_on_area_over_squared_extent_but_not_on_the_unit() -> None:
+def test_default_number_of_sampled_gaussians_is_mesh_area_over_squared_spacing_in_any_unit() -> None:
     """The default spacing is 1/300 of the diagonal, whatever the mesh's unit."""
     mesh = shapes.torus(1.0, 0.05, rows=16, columns=48)
     diagonal, area = np.linalg.norm(np.ptp(mesh.positions, axis=0)), 4.0 * np.pi**2 * 0.05
@@ -73,7 +73,7 @@ def test_default_count_depends_on_area_over_squared_extent_but_not_on_the_unit()
     assert tiny.count == pytest.approx(count, abs=2)
 
 
-def test_sampled_discs_lie_flat_on_the_surface_of_a_sphere() -> None:
+def test_disc_gaussians_sampled_on_a_sphere_lie_flat_on_its_surface() -> None:
     """Means are on the surface, thin axes and normals are radial, discs are thin and opaque."""
     gaussians = gaussians_from_mesh(shapes.sphere(0.5), COUNT)
     radii = np.linalg.norm(gaussians.means, axis=1)
@@ -86,7 +86,7 @@ def test_sampled_discs_lie_flat_on_the_surface_of_a_sphere() -> None:
     assert gaussians.opacities.min() > 0.99
 
 
-def test_sampled_discs_lie_in_the_faces_whatever_the_shading_normals() -> None:
+def test_disc_gaussians_sampled_on_a_mesh_lie_flat_in_its_faces_despite_smooth_normals() -> None:
     """On a cube with shared vertex normals, thin axes are face normals, while ``normals`` are the shading normals."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -106,7 +106,7 @@ def test_vertex_normals_of_zero_length_are_replaced_by_face_normals() -> None:
     np.testing.assert_allclose(present(gaussians.normals), np.tile([0.0, 1.0, 0.0], (50, 1)), atol=1e-6)
 
 
-def test_centres_of_sampled_gaussians_are_blue_noise() -> None:
+def test_gaussians_sampled_on_a_mesh_are_never_close_together() -> None:
     """Nearest neighbours are never close; random points would come a hundred times nearer."""
     gaussians = gaussians_from_mesh(shapes.sphere(0.5), COUNT)
     spacing = (np.pi / COUNT) ** 0.5
@@ -118,7 +118,7 @@ def test_centres_of_sampled_gaussians_are_blue_noise() -> None:
     assert np.median(nearest) > 0.75 * spacing
 
 
-def test_density_of_sampled_gaussians_does_not_depend_on_triangle_sizes() -> None:
+def test_density_of_gaussians_sampled_on_a_mesh_does_not_depend_on_triangle_sizes() -> None:
     """Counts in equal cells vary less than random ones, although the triangles of one half are 1600 times smaller."""
     fine = shapes.transform_mesh(shapes.plane(0.5, 1.0, segments=(20, 40)), translated(-0.25))
     coarse = shapes.transform_mesh(shapes.plane(0.5, 1.0), translated(0.25))
@@ -136,7 +136,7 @@ def translated(x: float) -> np.ndarray:
     return matrix
 
 
-def test_sampled_square_has_no_holes_up_to_its_edge() -> None:
+def test_gaussians_sampled_on_a_square_leave_no_holes_up_to_its_edge() -> None:
     """One layer of discs is nearly opaque inside, and mostly opaque at edges and corners."""
     gaussians, spacing = square()
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (20_000, 3)) * (1.0, 0.0, 1.0)
@@ -147,7 +147,7 @@ def test_sampled_square_has_no_holes_up_to_its_edge() -> None:
     assert alpha[~inside].min() > 0.55
 
 
-def test_sampled_discs_do_not_extend_beyond_open_edges() -> None:
+def test_disc_gaussians_sampled_on_a_mesh_hardly_extend_beyond_its_open_edges() -> None:
     """Opacity beyond the edge is mostly gone after one spacing, and zero after two and a half."""
     gaussians, spacing = square()
     along = np.linspace(-0.45, 0.45, 500)
@@ -156,7 +156,7 @@ def test_sampled_discs_do_not_extend_beyond_open_edges() -> None:
     assert beyond[1].max() < 0.1
 
 
-def test_both_sides_of_a_thin_sheet_are_sampled_without_gaps() -> None:
+def test_gaussians_sampled_on_both_sides_of_a_thin_sheet_leave_no_gaps() -> None:
     """The sheet is thinner than the spacing, and each side is sampled independently of the other."""
     top = shapes.plane(1.0, 1.0)
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -170,7 +170,7 @@ def test_both_sides_of_a_thin_sheet_are_sampled_without_gaps() -> None:
         assert nearest.max() < 1.1 * (1.0 / 1000) ** 0.5
 
 
-def test_sampled_albedo_is_material_times_vertex_colour_times_texture() -> None:
+def test_albedo_of_gaussians_sampled_on_a_mesh_is_base_vertex_and_texture_colour_product() -> None:
     """Albedo is the linear product at the Gaussian's uv, and SH its sRGB encoding."""
     v, u = np.mgrid[0:64, 0:64] / 63.0
     texture = np.round(255.0 * np.stack([0.2 + 0.6 * u, 0.3 + 0.5 * v, 0.5 + 0.0 * u], axis=-1)).astype(np.uint8)
@@ -204,7 +204,7 @@ def textured(texture: np.ndarray) -> ls.Mesh:
     return replace(shapes.plane(1.0, 1.0), material=material)
 
 
-def test_texels_finer_than_a_gaussian_are_averaged_in_linear_light() -> None:
+def test_texels_smaller_than_the_gaussian_sampled_on_them_are_averaged_in_linear_light() -> None:
     """Black and white noise with hundreds of texels per Gaussian averages to 0.5; no texture side is a power of two."""
     noise = np.random.default_rng(0).integers(0, 2, (1000, 777, 1)).astype(np.uint8) * np.uint8(255)
     gaussians = gaussians_from_mesh(textured(np.repeat(noise, 3, axis=2)), COUNT)
@@ -213,7 +213,7 @@ def test_texels_finer_than_a_gaussian_are_averaged_in_linear_light() -> None:
     assert gaussians.albedo.std() < 0.07
 
 
-def test_averaging_a_texture_shifts_neither_its_position_nor_its_colour() -> None:
+def test_texture_averaged_over_sampled_gaussians_is_neither_shifted_nor_recoloured() -> None:
     """An averaged ramp stays the same ramp, and a constant texture of any size keeps its colour."""
     ramp = np.round(255.0 * encode_srgb((np.arange(1001) + 0.5) / 1001.0)).astype(np.uint8)
     gaussians = gaussians_from_mesh(textured(np.tile(ramp[None, :, None], (3, 1, 3))), 200)
@@ -234,7 +234,7 @@ def test_sampling_skips_degenerate_triangles_of_a_mesh() -> None:
     assert (gaussians.means.sum(axis=1) <= 1.0 + 1e-6).all()
 
 
-def test_number_of_crease_points_of_a_sliver_is_limited() -> None:
+def test_number_of_gaussians_sampled_along_the_edges_of_a_sliver_triangle_is_limited() -> None:
     """A triangle of nearly no area would need billions of points along its edges at its spacing."""
     sliver = ls.Mesh([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-11, 0.0]], [[0, 1, 2]])
     normal = np.array([[0.0, 0.0, 1.0]])
@@ -256,7 +256,7 @@ def test_gaussians_from_mesh_refuses_invalid_counts_and_objects() -> None:
         gaussians_from_mesh(ls.MeshInstance(shapes.plane(1.0, 1.0)))  # pyright: ignore[reportArgumentType]
 
 
-def test_creases_of_a_mesh_are_its_sharp_and_open_edges_only() -> None:
+def test_creases_of_a_mesh_are_its_sharp_and_open_edges_and_no_others() -> None:
     """A cone's rim and a square's outline are creases; spheres and diagonals have none."""
     assert creases_of(shapes.icosphere(subdivisions=3)).size == 0
     assert creases_of(shapes.icosphere(subdivisions=1)).size == 0  # facets of 18 to 23 degrees
@@ -328,7 +328,7 @@ def shrunk(mask: np.ndarray, steps: int) -> np.ndarray:
     return mask
 
 
-def test_dilation_enlarges_the_outline_of_sampled_gaussians_by_under_20_percent() -> None:
+def test_rasteriser_dilation_widens_outlines_of_gaussians_from_meshes_by_under_20_percent() -> None:
     """Dilation by cameras enlarges a small ball's area by less than a fifth."""
     mesh = ls.sphere(1.0)
     camera = ls.Camera.look_at((0, 0, -8), (0, 0, 0), (0, 1, 0), width=48, height=48, fov_y=0.5)

@@ -39,7 +39,7 @@ def color_towards(asset: ls.Gaussians, direction: np.ndarray) -> np.ndarray:
     return np.maximum(np.einsum("k,nkc->nc", basis, asset.sh.astype(np.float64)) + 0.5, 0.0)
 
 
-def test_scale_light_multiplies_the_linear_mean_colour_by_the_factor() -> None:
+def test_scale_light_multiplies_the_linear_mean_colour_of_gaussians_by_the_factor() -> None:
     """The decoded mean colour is multiplied by the factor, for each channel and each Gaussian."""
     before = gaussians(500)
     factors = np.random.default_rng(1).uniform(0.0, 3.0, (500, 3))
@@ -51,7 +51,7 @@ def test_scale_light_multiplies_the_linear_mean_colour_by_the_factor() -> None:
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
-def test_scale_light_multiplies_colours_in_all_directions_alike(coefficients: int) -> None:
+def test_scale_light_multiplies_a_gaussians_colours_by_one_factor_in_all_directions(coefficients: int) -> None:
     """max(SH + 0.5, 0) scales by the same factor in all directions, so that highlights keep their contrast."""
     before = gaussians(200, coefficients)
     after = scale_light(before, np.random.default_rng(1).uniform(0.1, 2.0, 200))
@@ -63,7 +63,7 @@ def test_scale_light_multiplies_colours_in_all_directions_alike(coefficients: in
     np.testing.assert_allclose(seen_after, gain * seen_before, atol=2e-6)
 
 
-def test_scale_light_multiplies_colours_below_black_by_the_factor() -> None:
+def test_scale_light_multiplies_negative_display_colours_by_the_factor() -> None:
     """Negative display values lie on the linear part of the sRGB curve, so the factor applies to them directly."""
     black = ls.Gaussians(np.zeros((1, 3)), [[1, 0, 0, 0]], np.ones((1, 3)), [1.0], np.full((1, 1, 3), -0.6 / SH_C0))
     np.testing.assert_allclose(mean_color(scale_light(black, [0.5]))[0], -0.05, atol=1e-6)
