@@ -62,7 +62,7 @@ class EnvironmentOptions(LightOptions):
     """Light options extended by environment, exposure, gain of captured light, and denoising."""
 
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Light the scene with this latitude-longitude image, .hdr or .exr."""
+    """Light meshes and captures with a material by this latitude-longitude image, .hdr or .exr."""
     environment_rotation: Annotated[float | None, setting("N", "0")] = None
     """Rotate the environment by N degrees about the vertical, counter-clockwise from above."""
     exposure: Annotated[float | None, setting("STOPS", "the camera's, or 0")] = None
