@@ -44,17 +44,16 @@ BAKE_DIRECTIONS = 32
 views show the back of the Gaussian."""
 
 BAKE_SAMPLES = 8
-"""Paths per view; an even number, because the noise is estimated from two halves."""
+"""Paths per view of a Gaussian; even, because the noise is estimated from the difference of the two halves."""
 
 VIEWS_AT_ONCE = 2**17
-"""Number of views that are on the device at once; their arrays take about 60 MiB."""
+"""Number of views (a Gaussian from one direction) that are on the device at once; their arrays take about 60 MiB."""
 
 PILOT_DIRECTIONS = 8
 """Number of directions of a Gaussian's pilot views, which find its visible side; each view traces two paths."""
 
 SIGNAL_MIN = 1e-8
-"""Lower bound of the variance of a Gaussian's display-referred colours over directions: that of a standard deviation
-of 0.03 of 255."""
+"""Lower bound of the variance, over directions, of a Gaussian's colours in 0..1: a standard deviation of 1e-4."""
 
 BAKE_DIRECTIONS_MAX = 1024
 """Largest number of directions. A larger one is taken for a typing error, because SH of degree 3 has 16 coefficients.
@@ -149,7 +148,7 @@ class _Settings:
 
     @property
     def samples(self) -> int:
-        """Samples per ray."""
+        """Samples per view of a Gaussian: ``config.samples``, or `BAKE_SAMPLES` if that is None."""
         return self.config.samples or BAKE_SAMPLES
 
     @property
@@ -160,7 +159,7 @@ class _Settings:
 
 @dataclass(slots=True)
 class _Baker:
-    """Bakes the splat sets of a scene, a range of Gaussians at a time."""
+    """Bakes the splat sets of a scene, some thousands of Gaussians at a time."""
 
     viewer: GaussianViewer
     settings: _Settings
@@ -168,8 +167,8 @@ class _Baker:
     total: int
     """Number of Gaussians in the scene."""
     rays: SampleRays
-    """Distributions of camera rays towards the Gaussians of relit sets. Rows of sets that are not baked yet are
-    uninitialised."""
+    """Distributions of camera rays towards the Gaussians of the relit sets, one row per Gaussian; rows stay
+    uninitialised until their set is baked."""
     rays_stored: int = 0
 
     def baked(self, scene: Scene, number: int) -> SplatInstance:
@@ -221,7 +220,10 @@ class _Baker:
         ]
 
     def _views(self, instance: SplatInstance, first: int) -> Iterator[_Views]:
-        """Yields the views of a set, for one range of its Gaussians after the other."""
+        """Yields the views of a splat instance, in batches of consecutive Gaussians.
+
+        ``first`` is the index of the instance's first Gaussian among all Gaussians of the scene.
+        """
         count = instance.gaussians.count
         at_once = max(VIEWS_AT_ONCE // self.settings.directions, 1)
         rotation = instance.transform[:3, :3] / instance.scale
@@ -245,7 +247,7 @@ class _Baker:
 
 @dataclass(frozen=True, slots=True)
 class _Views:
-    """A range of N Gaussians of a set, and the D directions from which each is viewed."""
+    """Batch of N consecutive Gaussians of a splat instance, and the D directions from which each is viewed."""
 
     gaussians: Gaussians
     directions: Doubles
@@ -261,7 +263,12 @@ class _Views:
         return (self.directions.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
 
     def on_visible_sides(self, viewed: ViewRadiance, directions: Doubles) -> Doubles:
-        """Mirrors ``directions`` of the same Gaussians to the sides that the pilot views, ``viewed``, found visible."""
+        """Returns ``directions``, mirrored to the side of each Gaussian that pilot views found visible.
+
+        Args:
+            viewed: Radiance and visible distances of the pilot views.
+            directions: Directions from the camera to the same Gaussians, object space, shape (N, E, 3).
+        """
         weights = self._weights(viewed)
         return on_visible_sides(directions, plane_normals(self.gaussians), weights, self._front)
 
@@ -293,9 +300,9 @@ class _Views:
         return SampleRays.of_views(some, self.directions, weights, distances, self.first)
 
     def shadow(self, viewed: ViewRadiance) -> FloatArray:
-        """Returns a factor for the captured colour of each Gaussian, shape (N, 3).
+        """Returns a factor for the captured colour of each Gaussian of a shadow catcher, shape (N, 3).
 
-        The factor is exactly 1 where the added objects do not change the irradiance.
+        The factor is irradiance with over irradiance without the added objects: exactly 1 where they change nothing.
         """
         shape = (*self.directions.shape[:2], 3)
         weights = self._weights(viewed)[..., None]
@@ -310,7 +317,7 @@ class _Views:
         return (self.directions @ normals[:, :, None])[..., 0] < 0.0
 
     def _weights(self, viewed: ViewRadiance) -> Doubles:
-        """Returns the weight of each view, shape (N, D)."""
+        """Returns the weight that each view has in SH fits and means, by `view_weights`, shape (N, D)."""
         shape = self.directions.shape[:2]
         light = (0.5 * (viewed.even + viewed.odd) + decode_srgb(viewed.captured)).reshape(*shape, 3)
         has_front = self.gaussians.normals is not None
@@ -318,7 +325,7 @@ class _Views:
 
 
 def _extent(scene: Scene) -> float:
-    """Returns the largest distance of a camera from a Gaussian: the diagonal of the box around most Gaussians."""
+    """Returns the largest distance from which cameras view a Gaussian: the diagonal of the scene without outliers."""
     low, high = scene.bulk_bounds()
     return max(float(np.linalg.norm(high - low)), 1e-6)
 
@@ -349,11 +356,12 @@ def fit_sh(directions: Doubles, colors: Doubles, noise: Doubles, weights: Double
 
 
 def _penalties(colors: Doubles, noise: Doubles, shares: Doubles, degree: int) -> Doubles:
-    """Returns the ridge of each of K coefficients of N Gaussians, shape (N, K).
+    """Returns the ridge penalty of each of K SH coefficients of N Gaussians, shape (N, K).
 
-    The ridge is the noise variance of a coefficient over its expected variance (Wiener filter). The expected variance
+    The penalty is the noise variance of a coefficient over its expected variance (Wiener filter). The expected variance
     is the variance of the colours over directions minus that of the noise, distributed over the degrees l as 1 / l^2. A
-    small constant keeps the system regular.
+    small penalty of all degrees above 0 keeps the system regular. ``shares`` are the views' weights, scaled to a sum of
+    1.
     """
     mean = (shares[..., None] * colors).sum(axis=1, keepdims=True)
     spread = (shares * np.square(colors - mean).mean(axis=2)).sum(axis=1)

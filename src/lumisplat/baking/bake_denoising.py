@@ -10,7 +10,7 @@ import numpy.typing as npt
 from lumisplat.math.arrays import Doubles, Flags
 
 SHARED_COLOR_MIN = 0.02
-"""Lower bound of a ray's colour in a constant environment, by which deviations of radiance are divided. On darker
+"""Lower bound of the colour in a constant environment by which a ray's deviation of radiance is divided. On darker
 rays, deviations count less, because they are due to reflections rather than to noise of the light."""
 
 _Rows = npt.NDArray[np.int64]
@@ -18,7 +18,7 @@ _Rows = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayWeights:
-    """Sparse matrix of the weights with which P rays blend N Gaussians; S entries are not zero."""
+    """Blend weights of N Gaussians on P rays, a sparse matrix with S entries that are not zero."""
 
     ray: _Rows
     """Index of each entry's ray, shape (S,)."""
@@ -30,17 +30,20 @@ class RayWeights:
     gaussians: int
 
     def blended(self, values: Doubles) -> Doubles:
-        """Blends C values of each Gaussian along each ray, shape (N, C) to (P, C)."""
+        """Returns sums of C values of the Gaussians on each ray, weighted by blend weight: shape (N, C) to (P, C)."""
         return _sums(self.ray, self.weight, self.gaussian, values, self.rays)
 
     def mean_of(self, values: Doubles) -> Doubles:
-        """Averages C values of each ray over the rays that view a Gaussian, shape (P, C) to (N, C); 0 without a ray."""
+        """Returns means of C values of rays over each Gaussian, by blend weight: (P, C) to (N, C); 0 without rays."""
         total = np.maximum(np.bincount(self.gaussian, self.weight, self.gaussians), 1e-12)
         return _sums(self.gaussian, self.weight, self.ray, values, self.gaussians) / total[:, None]
 
 
 def _sums(to: _Rows, weight: Doubles, of: _Rows, values: Doubles, count: int) -> Doubles:
-    """Multiplies a sparse matrix by ``values``, one column at a time to save memory."""
+    """Multiplies a sparse matrix by ``values``, one column at a time to save memory.
+
+    The matrix has ``count`` rows and the entries ``weight`` in rows ``to`` and columns ``of``.
+    """
     return np.stack([np.bincount(to, weight * column[of], count) for column in values.T], axis=1).astype(np.float64)
 
 

@@ -23,37 +23,41 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
 
 VIEW_SPREAD = 0.5
-"""Standard deviation of the points on a Gaussian that views show, relative to the Gaussian's standard deviation. At 1,
-blending blurs edges a second time and Gaussians receive light around corners (1.1 dB worse in a capacity). At 0, shadow
-edges are jagged.
+"""Standard deviation of the points of a Gaussian at which its views are shaded, relative to that of the Gaussian. At
+1, blending blurs edges a second time and Gaussians receive light around corners (1.1 dB less PSNR in a room). At 0,
+shadow edges are jagged.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class CatcherLight:
-    """Irradiance of shadow catchers, in arrays of one shape.
+    """Irradiance of shadow catchers with and without the objects added to the scene; all arrays have the same shape.
 
     On the device, `catcher_change` evaluates the same equations for one channel.
     """
 
     unshadowed: Doubles
-    """Irradiance from the scene's lights without the added objects."""
+    """Irradiance of the shadow catcher from the scene's lights, without the added objects."""
     change: Doubles
-    """Change of ``unshadowed`` by the added objects, including indirect light."""
+    """What the added objects change in the irradiance from the scene's lights, ``unshadowed``; includes indirect
+    light."""
     emitted_unshadowed: Doubles
-    """Irradiance, without the added objects, from those parts of the surrounding captures that sampled rays hit."""
+    """Irradiance that captures around the shadow catcher emit, along the sampled rays that hit them, without added
+    objects."""
     emitted_change: Doubles
-    """Change of ``emitted_unshadowed`` by the added objects, including the light that they emit."""
+    """What the added objects change in ``emitted_unshadowed``, the irradiance from captures; includes the objects' own
+    light."""
     ambient: Doubles
     """Ambient irradiance that the scene specifies; 0 if it specifies none, so that ``emitted_unshadowed`` takes its
     place."""
     blocked: Doubles
-    """Part of ``ambient`` that the added objects block."""
+    """Part of the ambient irradiance, ``ambient``, that the added objects block."""
     least: Doubles
-    """Lower bound of the total irradiance, because no surface reflects more than it receives."""
+    """Lower bound of the total irradiance: pi times the linear captured colour, because no surface reflects more than
+    it receives."""
 
     def change_and_received(self) -> tuple[Doubles, Doubles]:
-        """Returns the change of the total irradiance by the added objects, and the total irradiance without them."""
+        """Returns a shadow catcher's change of irradiance by the added objects, and its irradiance without them."""
         has_ambient, remainder = self.ambient > 0.0, self.least - self.unshadowed
         ambient = np.maximum(np.where(has_ambient, self.ambient, self.emitted_unshadowed), remainder)
         emitted_share = np.divide(
@@ -69,22 +73,22 @@ class CatcherLight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRadiance:
-    """Radiance of V views, each of a single Gaussian; means over the samples of a view."""
+    """Radiance of V views, each of a single Gaussian from one direction; means over the samples of a view."""
 
     even: Doubles
-    """Linear radiance of the even samples, without captured colours, shape (V, 3)."""
+    """Linear radiance of a view, mean over its even samples, without captured colours, shape (V, 3)."""
     odd: Doubles
-    """Linear radiance of the odd samples, shape (V, 3)."""
+    """Linear radiance of a view, mean over its odd samples, without captured colours, shape (V, 3)."""
     captured: Doubles
-    """Display-referred captured colour of unlit Gaussians, shape (V, 3)."""
+    """Display-referred captured colour of the view's Gaussian if it is unlit, else 0, shape (V, 3)."""
     captured_weight: Doubles
-    """1 for unlit Gaussians, else 0, shape (V,)."""
+    """1 for views of unlit Gaussians, which show their captured colour, else 0, shape (V,)."""
     change: Doubles
-    """Change of a shadow catcher's irradiance by the added objects, shape (V, 3)."""
+    """Change of a shadow catcher's irradiance by the objects added to the scene, shape (V, 3)."""
     received: Doubles
-    """Irradiance of a shadow catcher without the added objects, shape (V, 3); 0 for other Gaussians."""
+    """Irradiance of a shadow catcher without the objects added to the scene, shape (V, 3); 0 for other Gaussians."""
     distance: Doubles
-    """Distance from the Gaussian towards the camera up to the first occluder, scene units, shape (V,)."""
+    """Distance from which the Gaussian is visible along the view: to the first occluder, scene units, shape (V,)."""
     nonfinite: int
     """Number of samples that were dropped because they were not finite."""
 
@@ -158,7 +162,7 @@ class GaussianViewer(Renderer):
         return self._means(sums, count, samples)
 
     def _means(self, sums: kernels.ViewSums, count: int, samples: int) -> ViewRadiance:
-        """Downloads the sums over samples, and divides them by the number of samples."""
+        """Downloads the sums of ``count`` views, and divides them by the number of finite samples of each view."""
 
         def read(array: Any) -> Doubles:
             return device_array(array).numpy()[:count].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Kernels that view single Gaussians, each as if a camera ray had hit no other Gaussian. One item is one view.
+"""Kernels that view single Gaussians, each as if a camera ray had hit no other Gaussian. One thread per view.
 
 ``hit_gaussians`` writes the hit of a view's ray on its Gaussian, and integrators shade this hit like any other. A
 second ray, from the Gaussian towards the camera, measures from how far away the Gaussian is visible. The equations are
@@ -22,14 +22,14 @@ wp.set_module_options({"enable_backward": False})
 
 # Random branches that no integrator uses.
 POINT_BRANCH = wp.constant((1 << 20) + 8)
-"""Branch of the random numbers for the first two coordinates of the viewed point within the Gaussian."""
+"""Random stream of the first two coordinates of the point at which a Gaussian is viewed; no integrator uses it."""
 THIRD_BRANCH = wp.constant((1 << 20) + 9)
-"""Branch of the random numbers for the third coordinate of the viewed point within the Gaussian."""
+"""Random stream of the third coordinate of the point at which a Gaussian is viewed; no integrator uses it."""
 
 
 @struct
 class GaussianViews:
-    """Gaussian and direction of each view."""
+    """Gaussian and viewing direction of each view; a view shows one Gaussian from one direction."""
 
     gaussian: wp.array[int]
     """Index of the view's Gaussian among all Gaussians of the scene."""
@@ -39,29 +39,29 @@ class GaussianViews:
 
 @struct
 class ViewSums:
-    """Sums over the samples of each view; radiance has separate sums for even and odd samples."""
+    """Sums over the samples of each view of a Gaussian; radiance has separate sums for even and odd samples."""
 
     even: wp.array[wp.vec3]
     """Linear radiance of the even samples, without captured colours."""
     odd: wp.array[wp.vec3]
     count: wp.array[int]
-    """Number of samples in the sums; samples that are not finite are dropped."""
+    """Number of finite samples of the view, over which the sums are; other samples are dropped."""
     captured: wp.array[wp.vec3]
     """Display-referred captured colour of an unlit Gaussian, equal in all samples."""
     captured_weight: wp.array[float]
     """1 for an unlit Gaussian, else 0."""
     factor: wp.array[wp.vec3]
-    """Fraction of the captured colour that shadows leave, in frames without path tracing."""
+    """Factor of an unlit Gaussian's captured colour that shadows leave, 0..1; only without path tracing."""
     unshadowed: wp.array[wp.vec3]
-    """Irradiance of a shadow catcher from lights without added objects, in path tracing. This and the next five fields
-    are as in `RayRadiance`."""
+    """Irradiance of a shadow catcher from the scene's lights, as if the objects added to the scene were absent; path
+    tracing only. The fields from here to ``open`` are those of `RayRadiance`."""
     shadowed: wp.array[wp.vec3]
     emitted_unshadowed: wp.array[wp.vec3]
     emitted_shadowed: wp.array[wp.vec3]
     ambient: wp.array[wp.vec3]
     open: wp.array[wp.vec3]
     distance: wp.array[float]
-    """Distance from the Gaussian towards the camera up to the first occluder, scene units."""
+    """Distance from which the Gaussian is visible along the view: to the first occluder, scene units."""
 
 
 @wp.func
@@ -152,12 +152,12 @@ def hit_gaussians(
     hits_out: GaussianHits,
     outward_out: RayData,
 ):
-    """Creates each view's ray with the hit on its Gaussian, and a second ray from the Gaussian to the camera.
+    """Writes the ray of each view with the hit on its Gaussian, and a second ray from the Gaussian to the camera.
 
     Args:
-        start: First item: a view.
+        start: View of the first thread.
         first: Number of the first view among all views of the set.
-        count: Number of views; items from ``count`` on become inactive.
+        count: Number of views; views from ``count`` on become inactive rays.
         sh_degree: Largest SH degree to evaluate.
         spread: Standard deviation of the viewed points, relative to that of the Gaussian.
         scene: The scene.
@@ -215,15 +215,15 @@ def add_views(
     hidden: GaussianHits,
     sums_inout: ViewSums,
 ):
-    """Adds one shaded sample of the views to their sums.
+    """Adds one shaded sample of each view to the view's sums. One thread per view.
 
     Args:
-        start: First item: a view.
+        start: View of the first thread.
         sample: Number of the sample; sample 0 first clears the sums.
-        far: Largest distance of a camera, scene units.
-        wave: The shaded views.
-        ends: Mesh hits of the rays to the camera.
-        hidden: Gaussian hits of the rays to the camera.
+        far: Largest distance of a camera from a Gaussian, scene units.
+        wave: The shaded rays, one for each view.
+        ends: Mesh hits of the rays from the Gaussians to the camera.
+        hidden: Gaussian hits of the rays from the Gaussians to the camera.
         sums_inout: Sums of the views.
     """
     i = start + wp.tid()

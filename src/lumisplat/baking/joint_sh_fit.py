@@ -37,12 +37,11 @@ RAY_DRAWS = 8
 to a half of the rays show backs or sets that are not baked; near corners, up to nine in ten."""
 
 DIRECT_SLOPE = 2.0
-"""Slope of the shrinkage of direct light, as in `denoised_by_rays`. With 1, shadow edges are also blurred, which costs
-0.5 dB in a room."""
+"""Slope of `denoised_by_rays` for direct light. At 1, shadow edges are blurred, too, which costs 0.5 dB in a room."""
 
-BOUNCED_FRACTION = 2
-"""Number by which the samples per ray are divided for indirect light. Indirect light is averaged over rays, so fewer
-paths suffice."""
+BOUNCED_DIVISOR = 2
+"""Divisor of the samples per ray that gives the number of samples of indirect light. Denoising averages indirect light
+over rays, so fewer paths suffice."""
 
 BOUNCED_MIN = 2
 """Smallest number of paths with bounces in each half of a ray's samples, unless the half has fewer samples."""
@@ -51,11 +50,11 @@ CONTRIBUTION_MIN = 0.005
 """Blend weight below which a Gaussian is ignored on a ray. Half of the hits are below it, with 1 % of the colour."""
 
 COVERED_MIN = 0.05
-"""Alpha below which a ray is not used."""
+"""Blend weight that relit sets must have together on a ray, for the ray to enter the joint fit."""
 
 OTHERS_MAX = 0.02
-"""Largest blend weight, on a usable ray, of sets that are not baked and of meshes; the fit cannot change their
-colours."""
+"""Blend weight that meshes and sets which are not baked may have together on a ray of the joint fit, which cannot
+change their colours."""
 
 SEGMENT_MARGIN = 1e-4
 """Distance by which a ray ends behind its last Gaussian and before a mesh, relative to the Gaussian's distance; larger
@@ -105,7 +104,7 @@ class Pixels:
     """Unit direction from the camera to the Gaussian's mean, object space, shape (S, 3)."""
 
     def information(self, gaussians: int) -> Doubles:
-        """Returns the information that the rays hold about the SH coefficients of each of N Gaussians, shape (N,).
+        """Returns how much the rays determine the SH coefficients of each of N Gaussians, shape (N,).
 
         The value is the Fisher information times the noise variance: the diagonal of the normal equations for views
         from all directions. The mean square of an SH basis function over the sphere is 1 / (4 pi). All rays of a bake
@@ -132,7 +131,8 @@ class _UsableRays:
     ray: _Rows
     """Index of each contribution's ray, ascending, shape (S,)."""
     side: IntArray
-    """Side of a Gaussian that each contribution shows: twice the Gaussian's index, plus 1 for its back, shape (S,)."""
+    """Side of a Gaussian that the contribution shows: 2 i for the front, 2 i + 1 for the back of Gaussian i, shape
+    (S,)."""
     weight: Doubles
     """Blend weight of each contribution, shape (S,); the weights on a ray sum to the ray's alpha."""
     along: FloatArray
@@ -173,7 +173,7 @@ class JointShFit:
         self._bounced: tuple[FrameRays, FrameRays] | None = None
         if config.pipeline.traces_paths and config.max_bounces != 0:
             # Equal random numbers: the direct light of both renderers is the same and cancels in the difference.
-            indirect = replace(config, samples=min(max(half // BOUNCED_FRACTION, BOUNCED_MIN), half))
+            indirect = replace(config, samples=min(max(half // BOUNCED_DIVISOR, BOUNCED_MIN), half))
             self._bounced = FrameRays(indirect, launcher), FrameRays(replace(indirect, max_bounces=0), launcher)
             self._paths = FrameRays(replace(self._paths.config, max_bounces=0), launcher)
         # Lit frames sort hits by their peak distance, which also decides what lies before the end of a segment.
@@ -208,13 +208,16 @@ class JointShFit:
         return result
 
     def pixels(self, rays_of_gaussians: SampleRays, count: int) -> Pixels:
-        """Draws ``count`` usable rays to each Gaussian, and renders the frame's colours on them."""
+        """Draws ``count`` usable rays to each Gaussian, and renders the frame's colours on them.
+
+        Usable rays show only front sides of relit sets, and no lights.
+        """
         rays = self._rays(rays_of_gaussians, count)
         colors, noise = self._displayed(self._light(rays), rays.alpha[:, None])
         return Pixels(colors, noise, rays.ray, rays.side.astype(np.int64) // 2, rays.weight, rays.along)
 
     def _rays(self, rays_of_gaussians: SampleRays, count: int) -> _UsableRays:
-        """Draws ``count`` usable rays to each Gaussian.
+        """Draws ``count`` usable rays to each Gaussian: rays that show only front sides of relit sets, and no lights.
 
         Rays are drawn up to `RAY_DRAWS` times for Gaussians that have too few usable rays; some may stay below
         ``count``.
@@ -235,7 +238,12 @@ class JointShFit:
         return _UsableRays.joined(parts)
 
     def _choose_usable(self, drawn: DrawnRays, wanted: _Rows) -> tuple[_UsableRays, _Rows]:
-        """Returns the first ``wanted`` usable rays to each Gaussian, or fewer if there are fewer, and their number."""
+        """Returns the first usable rays to each Gaussian, at most as many as wanted, and how many there are.
+
+        Args:
+            drawn: Rays towards each Gaussian; usable ones show only front sides of relit sets, and no lights.
+            wanted: Largest number of usable rays of each Gaussian.
+        """
         origins, directions = (array.reshape(-1, 3) for array in (drawn.origins, drawn.directions))
         hits = self._blends.trace_rays(self._scene, origins, directions, profile=True)
         assert hits.profile is not None
@@ -271,7 +279,7 @@ class JointShFit:
         return (self._normals[gaussian] * directions).sum(axis=1)
 
     def _light(self, rays: _UsableRays) -> Doubles:
-        """Renders the linear radiance of P rays, from even and from odd samples, and denoises it, shape (2, P, 3)."""
+        """Renders the linear radiance of P rays from even and from odd samples, and denoises both, shape (2, P, 3)."""
         begins, ends, base = self._lit_segments(rays)
         starts = (rays.origins + begins[:, None] * rays.directions).astype(np.float32)
         segments_twice = (
@@ -314,7 +322,8 @@ class JointShFit:
         return begins, ends, base
 
     def _displayed(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
-        """Tone-maps the radiance of rays to display-referred colours, and returns the mean variance of their noise."""
+        """Tone-maps the radiance ``light`` of rays to display-referred colours; also returns the mean noise variance.
+        """
 
         def displayed(light: Doubles) -> Doubles:
             nothing = np.zeros_like(light)
@@ -327,7 +336,7 @@ class JointShFit:
         return colors, float(0.25 * np.square(halves[0] - halves[1]).mean()) if len(colors) else 0.0
 
     def _directions(self, eyes: FloatArray, gaussian: _Rows) -> FloatArray:
-        """Returns unit directions from camera positions, world space, to Gaussians, in each one's object space."""
+        """Returns unit directions from camera positions, world space, to one Gaussian each, in its object space."""
         towards = self._means[gaussian] - eyes
         for number, one in enumerate(self._scene.splats):
             in_instance = self._instance[gaussian] == number
@@ -337,7 +346,7 @@ class JointShFit:
 
 
 class Blend:
-    """Blends SH colours of Gaussians into pixels on the device, and applies the transpose of this linear map."""
+    """Linear map, on the device, from SH coefficients of Gaussians to colours blended on rays, and its transpose."""
 
     def __init__(self, pixels: Pixels, gaussians: int, terms: int, launcher: Launcher) -> None:
         buffers = Buffers(launcher.device)
@@ -356,11 +365,14 @@ class Blend:
         self._sh = buffers.get("sh", wp.vec3, (gaussians, terms))
 
     def pixel_colors(self, sh: Doubles) -> Doubles:
-        """Blends Gaussians into pixel colours, with negative colours clamped to 0; SH of shape (N, K, 3) to (P, 3)."""
+        """Returns the colours of P rays blended from N Gaussians with K SH coefficients: (N, K, 3) to (P, 3).
+
+        The colour of a Gaussian is its SH series plus 0.5, clamped to at least 0, as viewers of captures show it.
+        """
         return self._blended(sh, 0.5, 0.0)
 
     def blend(self, sh: Doubles) -> Doubles:
-        """Returns the linear part of `pixel_colors`, without the constant 0.5 and without clamping."""
+        """Returns ``pixel_colors`` without the constant 0.5 and without clamping: linear in the coefficients."""
         return self._blended(sh, 0.0, -float(np.finfo(np.float32).max))
 
     def gather(self, errors: Doubles) -> Doubles:
@@ -424,7 +436,7 @@ def _world_normals(instance: SplatInstance) -> Doubles:
 
 
 def _first_of(numbers: _Rows, count: int) -> IntArray:
-    """Returns the first position of each number below ``count`` in sorted ``numbers``, followed by their length."""
+    """Returns where each number below ``count`` first occurs in sorted ``numbers``, and lastly their length."""
     return np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))]).astype(np.int32)
 
 
@@ -478,16 +490,21 @@ class HitGaussians:
         )
 
     def where(self, rows: Flags) -> HitGaussians:
-        """Returns the selected rows of the same P rays."""
+        """Returns the rows that the mask ``rows`` selects, still of P rays."""
         return HitGaussians(self.ray[rows], self.gaussian[rows], self.weight[rows], self.t[rows], self.rays)
 
     def total(self, values: Doubles | Flags) -> Doubles:
-        """Multiplies each row's value by its blend weight, and sums over each ray, shape (P,)."""
+        """Returns, for each ray, the sum over its Gaussians of value times blend weight, shape (P,).
+
+        ``values`` has one value for each Gaussian on a ray, shape (S,).
+        """
         return np.bincount(self.ray, self.weight * values, self.rays).astype(np.float64)
 
 
 def wanted_segments(hits: HitGaussians, wanted: Flags, before_mesh: Flags) -> tuple[Doubles, Doubles, Flags]:
     """Returns the segment of each ray around its heaviest wanted Gaussian that contains only wanted Gaussians.
+
+    Heaviest means the largest blend weight on the ray.
 
     Args:
         hits: The Gaussians on P rays, in S rows.

@@ -1,7 +1,7 @@
 """Blends SH colours of Gaussians along rays, and applies the transpose (docs/method/relighting.md#baking).
 
-A *contribution* is a Gaussian on a ray; contributions are sorted by ray. One item is a ray when colours are blended,
-and a Gaussian when errors are gathered.
+A *contribution* is a Gaussian on a ray; contributions are sorted by ray. A thread works on one ray when colours are
+blended, and on one Gaussian when errors are gathered.
 """
 
 import warp as wp
@@ -35,10 +35,10 @@ def blend_sh(
     sh: wp.array2d[wp.vec3],
     color_out: wp.array[wp.vec3],
 ):
-    """Blends the SH colours of Gaussians along each ray. One item is one ray.
+    """Blends the SH colours of Gaussians along each ray. One thread per ray.
 
     Args:
-        start: First item.
+        start: Ray of the first thread.
         terms: SH coefficients per Gaussian.
         shift: Constant added to the colour of each Gaussian.
         least: Lower bound of each channel of a Gaussian's colour.
@@ -68,14 +68,14 @@ def gather_errors(
     error: wp.array[wp.vec3],
     sh_inout: wp.array2d[wp.vec3],
 ):
-    """Sums the errors of rays into SH coefficients, the transpose of `blend_sh`. One item is one Gaussian.
+    """Sums the errors of rays into SH coefficients, the transpose of `blend_sh`. One thread per Gaussian.
 
     Args:
-        start: First item.
+        start: Gaussian of the first thread.
         terms: SH coefficients per Gaussian.
         contributions: Contributions, sorted by ray.
         order: Indices of the contributions, sorted by Gaussian.
-        first: Each Gaussian's first position in that order, followed by the number of contributions.
+        first: Each Gaussian's first position in ``order``, followed by the number of contributions.
         error: Errors of the rays.
         sh_inout: Sums; zero at the start.
     """

@@ -16,15 +16,15 @@ from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import SplatInstance
 
 SIDE_MIN = 0.05
-"""Smallest fraction of a Gaussian's view weight for a visible side. Views of a side below it are mirrored to the
-other."""
+"""Smallest fraction of a Gaussian's view weight at which a side of it counts as visible. Views of the other side are
+mirrored to the visible one."""
 
 BACK_WEIGHT = 0.02
-"""Weight of views of a Gaussian's back relative to views of its front, if its normal is given."""
+"""Weight of views of a Gaussian's back relative to views of its front; only if the capture stores normals."""
 
 DARK_SIDE_MIN = 1e-3
-"""Smallest weight factor of a Gaussian's darker side, relative to the brighter side. The darker side is usually the
-inside of a closed object."""
+"""Lower bound of the squared ratio of a side's luminance to that of the Gaussian's brighter side, by which the side's
+views are weighted. The darker side is usually the inside of a closed object."""
 
 GOLDEN_STEP = 0.6180339887498949
 """Fractional part of the golden ratio, whose multiples are evenly distributed in 0..1 for any count."""
@@ -35,7 +35,7 @@ POINT_REACH = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnRays:
-    """Rays in world space, R towards each of N Gaussians."""
+    """Rays in world space: R towards each of N Gaussians, one iteration's draw from `SampleRays`."""
 
     origins: FloatArray
     """Camera positions, shape (N, R, 3)."""
@@ -98,13 +98,13 @@ class SampleRays:
         )
 
     def put(self, first: int, some: SampleRays) -> None:
-        """Copies other distributions into the rows from ``first`` on."""
+        """Copies the distributions ``some`` to the rows from ``first`` on, in place."""
         rows = slice(first, first + len(some.gaussian))
         for name in self.__slots__:
             getattr(self, name)[rows] = getattr(some, name)
 
     def of(self, rows: npt.NDArray[np.int64]) -> SampleRays:
-        """Returns the distributions of the Gaussians in ``rows``."""
+        """Returns the distributions of the Gaussians whose rows (indices) are given."""
         return SampleRays(*(getattr(self, name)[rows] for name in self.__slots__))
 
     def draw(self, number: int, count: int, seed: int) -> DrawnRays:
@@ -173,7 +173,7 @@ def plane_normals(gaussians: Gaussians) -> Doubles:
 
 
 def on_visible_sides(directions: Doubles, normals: Doubles, weights: Doubles, front: Flags) -> Doubles:
-    """Mirrors directions to a Gaussian's visible side, if nearly all weight of its pilot views is on one side.
+    """Mirrors directions to the visible side of a Gaussian, if nearly all weight of pilot views is on one side.
 
     Args:
         directions: Directions to mirror, D for each of N Gaussians, shape (N, D, 3).

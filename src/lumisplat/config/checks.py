@@ -18,7 +18,7 @@ _Choice = TypeVar("_Choice", bound=Enum)
 _Kind = TypeVar("_Kind")
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
-"""Largest finite number that kernels can use."""
+"""Largest finite float32, the number type of the kernels."""
 
 
 def plain(value: Any) -> Any:  # noqa: PLR0911
@@ -44,11 +44,11 @@ _PLAIN = (bool, int, float, str, tuple, list, type(None))
 
 
 def refusal(error: type[LumisplatError], name: str, value: object, expected: str) -> LumisplatError:
-    """Returns an error about a value, whose ``setting`` is the last word of ``name``: ``width`` of ``camera width``.
+    """Returns an error that refuses a value; ``setting`` is the last word of ``name``, such as ``width``.
 
     Args:
         error: Type of the error.
-        name: Name of the setting, field or parameter, as the message begins with it.
+        name: Name of the setting, field or parameter, as the message begins with it: ``camera width``.
         value: The refused value.
         expected: The rest of the message, such as ``expected a whole number``.
     """
@@ -80,22 +80,23 @@ class Range:
     """
 
     low: float = -math.inf
-    """Smallest number."""
+    """Smallest accepted number, or the limit below it if ``above`` is set; -inf for no limit."""
     high: float = math.inf
-    """Largest number. Numbers have to be finite in float32 even without limits, as kernels use float32."""
+    """Largest accepted number, or the limit above it if ``below`` is set; inf for no limit. Numbers beyond the range
+    of float32, the type of the kernels, are refused in any case, except where ``infinite`` is set."""
     unit: str = ""
-    """Unit of the numbers."""
+    """Unit of the numbers, as messages name it, such as ``degrees``; empty for numbers without a unit."""
     above: bool = False
     """True if ``low`` itself is excluded."""
     below: bool = False
     """True if ``high`` itself is excluded."""
     step: int = 1
-    """Integers have to be multiples of this."""
+    """Number of which accepted integers are multiples; 1 accepts every integer."""
     infinite: bool = False
-    """True if infinity is accepted."""
+    """True if numbers beyond the range of float32, such as infinity, are accepted, too."""
 
     def holds(self, number: float) -> bool:
-        """Returns whether the range contains a number; it never contains NaN."""
+        """Returns whether a number is accepted: within the limits, a multiple of ``step``, and not NaN."""
         if not (self.low < number if self.above else self.low <= number):
             return False
         if not (number < self.high if self.below else number <= self.high):
@@ -119,10 +120,11 @@ class Range:
         return f"a number {'above' if self.above else 'at least'} {low:g}{', or inf' if self.infinite else ''}"
 
     def taken(self, name: str, value: Any, kind: type, error: type[LumisplatError] = ConfigError) -> Any:
-        """Returns a value as a Python number of ``kind``, which is ``int`` or ``float``.
+        """Converts a value to a Python number of ``kind``, ``int`` or ``float``, and checks that the range accepts it.
 
         Raises:
-            LumisplatError: The value is no such number, or outside the range; the error is of type ``error``.
+            LumisplatError: The value is not a number of that kind, or is outside the range; the error is of type
+                ``error``.
         """
         if type(value) is kind and self.holds(value):  # the usual case, which must be fast: cameras are made in loops
             return value
@@ -141,7 +143,7 @@ def _short(number: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """Few integers, or members of an enum, that a field accepts."""
+    """Lists the only values that a field accepts: a few integers, or some members of an enum."""
 
     values: tuple[int, ...] | tuple[Enum, ...]
     """The accepted values."""
@@ -152,10 +154,10 @@ class OneOf:
         return f"{', '.join(others)} or {last}"
 
     def taken(self, name: str, value: object, kind: type, error: type[LumisplatError] = ConfigError) -> int:
-        """Returns a value as a Python integer.
+        """Converts a value to a Python integer, and checks that it is one of ``values``.
 
         Raises:
-            LumisplatError: The value is none of the integers; its type is ``error``.
+            LumisplatError: The value is none of the integers; the error is of type ``error``.
         """
         number = plain(value)
         if type(number) is not int or number not in self.values:
@@ -228,7 +230,7 @@ def check_kind(name: str, value: object, kind: type[_Kind], error: type[Lumispla
 def enum_member(
     name: str, value: object, members: Iterable[_Choice], error: type[LumisplatError] = ConfigError
 ) -> _Choice:
-    """Returns one of the members of an enum, given itself or by its value: ``Pipeline.TRACE`` or ``"trace"``.
+    """Returns the member of an enum that ``value`` is or names: ``Pipeline.TRACE`` for itself and for ``"trace"``.
 
     Raises:
         LumisplatError: ``value`` is anything else.
@@ -255,7 +257,7 @@ def listed_names(value: object) -> tuple[str, ...] | None:
 
 
 RENAMED_SETTINGS = {"lamps": "points", "lamp_lux": "point_lux", "sky": "ambient", "sky_steps": "environment_steps"}
-"""Former names of settings, with the present ones."""
+"""Present name of each setting that was renamed, by its former name; only error messages suggest it."""
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
@@ -269,24 +271,24 @@ def suggestion(name: str, names: Iterable[str]) -> str:
 
 
 def quoted(value: object) -> str:
-    """Returns a value as a one-line message shows it."""
+    """Returns a value as error messages show it: numbers in full, other values as a ``repr`` shortened to one line."""
     return str(value) if is_number(value) else " ".join(reprlib.repr(value).split())
 
 
 Color = tuple[float, float, float]
 
 NO_COLOR = ("transparent", "none")
-"""Texts that mean no colour."""
+"""Texts that `display_color` turns into None, which means no colour: a transparent background, for example."""
 
 
 class DisplayColor:
-    """Converter of fields with a display-referred colour; see `display_color`."""
+    """Converts values of dataclass fields to display-referred sRGB by `display_color`; a ``converter`` of `given`."""
 
     kind = "color"
     is_linear = False
 
     def __call__(self, value: str | Iterable[float] | None, name: str = "color") -> Color | None:
-        """Returns the colour, or None for no colour."""
+        """Returns a field's value as display-referred sRGB colour, channels 0..1; None if it means no colour."""
         return display_color(name, value)
 
 
@@ -323,7 +325,7 @@ def _color_from_numbers(value: object) -> Color | None:
 
 
 def _color_from_text(text: str) -> Color | None:
-    """Returns the colour that a text describes; None if it describes none."""
+    """Returns the colour of a text such as ``"#ff8800"``, ``"white"`` or three numbers; None if it is none of these."""
     from PIL import ImageColor
 
     try:

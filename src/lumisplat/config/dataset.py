@@ -20,14 +20,15 @@ _VIEWS_MAX = 10_000_000
 
 
 class PosePlaces(Enum):
-    """Region of the cameras of a data set."""
+    """Where the cameras of a data set are."""
 
     DOME = "dome"
     """Positions around the scene, looking at it."""
     INSIDE = "inside"
     """Positions in the free space of the scene, looking in any direction."""
     CAMERAS = "cameras"
-    """Positions near given cameras, such as those of a capture's training images, from where the capture looks best."""
+    """Positions near given cameras, such as those of the images that the capture was trained on, where it looks best.
+    """
 
 
 def _file_names(value: Iterable[str], name: str = "files") -> tuple[str, ...]:
@@ -61,88 +62,94 @@ def _checked_split(value: Sequence[float], name: str = "split") -> tuple[float, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatasetPoses:
-    """Positions and viewing directions of the cameras of a data set.
+    """Positions and viewing directions of a data set's cameras; each view draws them at random from these ranges.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     where: PosePlaces = PosePlaces.DOME
-    """Region of the cameras."""
+    """Where cameras are: around the scene, inside of it, or near given cameras."""
     azimuth: Annotated[Span, Range(-360.0, 360.0, "degrees")] = (0.0, 360.0)
-    """Azimuth of the camera with ``DOME``: angle about the vertical, counter-clockwise from above; 0 is the front."""
+    """Range of the camera's azimuth with ``DOME``: angle about the vertical, counter-clockwise from above; 0 is the
+    front."""
     elevation: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (5.0, 60.0)
-    """Elevation of the camera above the horizon with ``DOME``."""
+    """Range of the camera's elevation above the horizon with ``DOME``."""
     distance: Annotated[Span, Range(1e-3, 1e3)] = (1.0, 1.5)
-    """Distance from the camera to the target with ``DOME``, as a factor of the distance at which the whole scene just
-    fits into the image. Below 1, images may cut off parts of the scene."""
+    """Range of distances from the camera to the target with ``DOME``, as factors of the distance at which the whole
+    scene just fits into the image. Below 1, images may cut off parts of the scene."""
     height: Annotated[Span, Range(0.0, 1.0)] = (0.2, 0.8)
-    """Height of the camera with ``INSIDE``, as a fraction of the scene's height."""
+    """Range of camera heights with ``INSIDE``, as fractions of the scene's height."""
     pitch: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (-25.0, 10.0)
-    """Angle of the viewing direction above the horizon with ``INSIDE``."""
+    """Range of angles between the viewing direction and the horizon with ``INSIDE``; positive looks up."""
     shift: Share = 0.02
-    """Largest distance of a view's camera from a given camera with ``CAMERAS``, as a fraction of the scene's diagonal.
+    """Largest distance of a view's camera from the given camera that it starts from, with ``CAMERAS``, as a fraction
+    of the scene's diagonal.
     """
     turn: Annotated[float, Range(0.0, 180.0, "degrees")] = 5.0
-    """Largest rotation of a view's camera from a given camera with ``CAMERAS``, about any axis."""
+    """Largest rotation, about any axis, of a view's camera from the given camera that it starts from, with
+    ``CAMERAS``."""
     aim: Share = 0.1
-    """Largest distance of the target from the scene's centre with ``DOME``, as a fraction of the scene's size along
-    each axis.
+    """Largest distance between the point that a camera looks at and the scene's centre with ``DOME``, along each axis,
+    as a fraction of the scene's size along that axis.
     """
     roll: Annotated[float, Range(0.0, 180.0, "degrees")] = 0.0
     """Largest rotation of cameras about their viewing direction."""
     fov: Annotated[Span, Range(1.0, 179.0, "degrees")] = (35.0, 60.0)
-    """Vertical field of view."""
+    """Range of vertical fields of view."""
     at_objects: Share = 0.5
     """Fraction of views that look at one of the added objects, if there are any; not with ``CAMERAS``."""
     object_distance: Annotated[Span, Range(1.0, 1e3)] = (3.0, 8.0)
-    """Distance to an object that a view of ``DOME`` looks at, in radii of the object."""
+    """Range of distances between the camera and an added object that it looks at, with ``DOME``, in radii of the
+    object."""
     clearance: Share = 0.02
-    """Free space around cameras, as a fraction of the scene's diagonal."""
+    """Smallest distance of a camera from surfaces and added objects, as a fraction of the scene's diagonal."""
     seen: Share = 0.1
-    """Fraction of the image that must show a surface."""
+    """Smallest fraction of the image that shows a surface; cameras that see less are drawn again."""
 
     __post_init__ = take_fields
 
 
 @frozen(kw_only=True, eq=True)
 class DatasetLights:
-    """Light of a data set, drawn anew for each view.
+    """Lights of a data set; each view draws them at random from these ranges.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     own: bool = True
-    """Keeps the lights of the scene."""
+    """Keeps the lights of the scene itself beside the random ones; otherwise only the random ones light a view."""
     environments: tuple[str, ...] = given(converter=_file_names, default=())
     """Environment images, .hdr or .exr. Each view has one of them in place of the scene's own environment. In a
     settings file paths are relative to its folder."""
     turned: bool = True
-    """Rotates environments, also the scene's own, about the vertical."""
+    """Rotates environments, also that of the scene itself, by a random angle about the vertical."""
     brightness: Annotated[Span, Range(1e-6, 1e6)] = (0.5, 2.0)
-    """Factor of the environment's radiance, whose logarithm is uniform."""
+    """Range of the factor that multiplies the environment's radiance; the factor's logarithm is uniform."""
     visible: bool = True
-    """Shows the images of ``environments`` as background."""
+    """Shows the images of ``environments`` as background; otherwise they light the scene without being visible."""
     suns: Annotated[WholeSpan, Range(0, 16)] | None = None
-    """Number of suns. None: 1 if the scene has something to light and no other light, else 0."""
+    """Range of the number of suns. None: 1 if the scene has something to light and no other light, else 0."""
     sun_elevation: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (15.0, 75.0)
-    """Angle of suns above the horizon."""
+    """Range of the suns' angles above the horizon."""
     sun_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
-    """Illuminance of a sun on a surface that faces it: at pi, a white surface is as bright as display white."""
+    """Range of a sun's illuminance on a surface that faces it: at pi, a white surface is as bright as display white."""
     sun_angle: Annotated[Span, Range(0.0, 90.0, "degrees")] = (0.0, 2.0)
-    """Angular radius of suns, which softens their shadows."""
+    """Range of the suns' angular radii; larger suns have softer shadows."""
     points: Annotated[WholeSpan, Range(0, 16)] = (0, 0)
-    """Number of point lights: above and around the scene, or with ``INSIDE`` in its free space."""
+    """Range of the number of point lights, which are above and around the scene, or with ``INSIDE`` in its free space.
+    """
     point_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
-    """Illuminance of a point light at the centre of the scene."""
+    """Range of a point light's illuminance at the centre of the scene; pi makes a white surface display white."""
     ambient: Annotated[Span, Range(0.0, 1e6)] = (0.1, 0.5)
-    """Radiance of a constant, invisible environment in views that have suns or point lights, and no other environment.
+    """Range of the radiance of a constant, invisible environment, in views with suns or point lights and no other
+    environment.
     """
     tint: Share = 0.2
     """Saturation of suns, point lights and constant environments: each colour channel is between 1 minus this and 1."""
     exposure: Annotated[Span, Range(-100.0, 100.0, "stops")] = (0.0, 0.0)
-    """Stops added to the exposure of lit images."""
+    """Range of the stops that are added to the exposure of lit images."""
 
     __post_init__ = take_fields
 
@@ -159,19 +166,20 @@ class DatasetObjects:
     """Captures, meshes and scenes, some of which are added to each view; a file may be listed more than once. In a
     settings file paths are relative to its folder."""
     count: Annotated[WholeSpan, Range(0, 1000)] = (1, 3)
-    """Number of objects in a view; objects without free space are left out."""
+    """Range of the number of objects in a view; objects for which no free space is found are left out."""
     size: Annotated[Span, Range(1e-6, 1e3)] = (0.08, 0.2)
-    """Diameter of an object's bounding sphere, as a fraction of the scene's diagonal."""
+    """Range of the diameter of an object's bounding sphere, as a fraction of the scene's diagonal."""
     own_size: bool = False
-    """Keeps the objects' own sizes, times ``scale``, in place of ``size``."""
+    """Keeps the size that an object has in its file, times ``scale``; otherwise ``size`` sets it."""
     scale: Annotated[Span, Range(1e-6, 1e6)] = (1.0, 1.0)
-    """Factor of the size of objects, if ``own_size`` is set."""
+    """Range of the factor of an object's size in its file, if ``own_size`` is set."""
     upright: bool = True
     """Keeps objects upright, rotated about the vertical alone; otherwise they have any orientation."""
     unevenness: Share = 0.1
-    """Largest unevenness of the ground below an object, as a fraction of its diameter."""
+    """Largest height difference of the ground below an object, as a fraction of the object's diameter."""
     shadows: bool = True
-    """Lets captures that are shown as captured receive the shadows of objects, in lit views."""
+    """Makes the scene's unlit captures shadow catchers in views with lights, so that added objects cast shadows on
+    them."""
 
     __post_init__ = take_fields
 
@@ -185,7 +193,7 @@ class DatasetConfig:
     """
 
     views: Annotated[int, Range(1, _VIEWS_MAX)] = 100
-    """Number of views. The content of each view does not depend on this number."""
+    """Number of views. View i is the same whatever this number is."""
     seed: Seed = 0
     """Seed of all random numbers. Each view has its own sequences, one each for poses, lights and objects."""
     width: Annotated[int, Range(1, 65536, "pixels")] = 640
@@ -196,7 +204,7 @@ class DatasetConfig:
     """Layers beside the images: some of ``depth``, ``normal``, ``albedo``, ``alpha``, ``mask``, ``instance``,
     ``category`` and ``exr``, as a list or a text with commas."""
     split: tuple[float, float, float] = given(converter=_checked_split, default=(0.8, 0.1, 0.1))
-    """Fractions of the views for training, validation and test, scaled to a sum of 1. A view stays in its part when
+    """Fractions of the views for training, validation and test, scaled to a sum of 1. A view stays in its subset when
     the number of views changes."""
     shard_views: Annotated[int, Range(0, _VIEWS_MAX)] = 0
     """Largest number of views in a shard for WebDataset; 0 writes no shards."""

@@ -32,7 +32,7 @@ DILATION_PX2 = 0.3
 
 
 class RasterStrategy(Enum):
-    """Compositing of the splats of a pixel."""
+    """How the splats of a pixel are composited."""
 
     SORTED = "sorted"
     """Blends all splats front to back, without noise."""
@@ -53,7 +53,7 @@ class Projection(Enum):
 
 
 class GaussianSurface(Enum):
-    """Lit surface of the Gaussians in a pixel (docs/method/rasterisation.md#weighted-mean-surface)."""
+    """Depth at which the Gaussians of a pixel are lit (docs/method/rasterisation.md#weighted-mean-surface)."""
 
     ISO = "iso"
     """Depth at which the transmittance falls below ``depth_iso_transmittance``, with the roughness of the Gaussian
@@ -64,14 +64,14 @@ class GaussianSurface(Enum):
 
 
 class Antialiasing(Enum):
-    """Gaussians whose opacities are compensated for the dilation, as in captures of Mip-Splatting (Yu et al. 2024)."""
+    """Which Gaussians count as antialiased, as those of Mip-Splatting: their opacities make up for the dilation."""
 
     AUTO = "auto"
-    """Gaussians of captures whose ``antialiased`` flag is set."""
+    """The Gaussians of captures whose ``antialiased`` flag is set count as antialiased."""
     OFF = "off"
-    """No Gaussians."""
+    """No Gaussians count as antialiased."""
     ON = "on"
-    """Every Gaussian."""
+    """All Gaussians count as antialiased."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,14 +86,14 @@ class RasterConfig:
     """
 
     strategy: RasterStrategy = RasterStrategy.SORTED
-    """Compositing of the splats of a pixel."""
+    """How the splats of a pixel are composited: sorted, or by random acceptance."""
     projection: Projection = Projection.EWA
-    """Projection of Gaussians: as ellipses, or along rays for any lens. Raster and hybrid pipelines with ``SORTED``
-    and ``ISO`` only."""
+    """Projection of Gaussians: as ellipses, or along rays for any lens. ``UNSCENTED`` needs the raster or the hybrid
+    pipeline, ``SORTED`` and ``ISO``."""
     surface: GaussianSurface = GaussianSurface.ISO
-    """Lit surface of the Gaussians in a pixel, in lit frames."""
+    """Depth at which the Gaussians of a pixel are lit, in lit frames."""
     antialiasing: Antialiasing = Antialiasing.AUTO
-    """Gaussians whose opacities are compensated for the dilation."""
+    """Which Gaussians count as antialiased: their opacities are lowered to make up for the dilation."""
     dilation: Annotated[float, Range(0.0, 10.0, "pixel^2")] = DILATION_PX2
     """Variance added to the projected covariance. With ``UNSCENTED``, it is added to the Gaussian itself, in squared
     pixel widths at its distance."""
@@ -111,27 +111,29 @@ class RasterConfig:
 
 
 class TraceStrategy(Enum):
-    """Compositing of the Gaussians that a ray hits."""
+    """How the Gaussians that a ray hits are composited."""
 
     SORTED = "sorted"
-    """Blends all Gaussians in order until the transmittance is used up, without noise."""
+    """Blends all Gaussians front to back until the transmittance is below ``transmittance_min``, without noise."""
     STOCHASTIC_HIT = "stochastic-hit"
     """Accepts each Gaussian with its alpha as probability, and shows the nearest accepted one (Hu et al. 2025,
     equations 7-8)."""
     STOCHASTIC_PASS = "stochastic-pass"
-    """Blends the next ``hits_per_pass`` Gaussians in order, and accepts the pass with its opacity as probability."""
+    """Blends the next ``hits_per_pass`` Gaussians in order, and shows the blend with its opacity as probability;
+    otherwise the ray goes on behind them."""
 
 
 class HitDistance(Enum):
     """Distance along a ray at which a Gaussian is hit, by which hits are ordered."""
 
     MEAN = "mean"
-    """Projection of the mean onto the ray, nearly the order of the rasteriser. Most captures are trained for that
-    order. The surface lies where the response is largest."""
+    """Distance of the Gaussian's mean, projected onto the ray: nearly the order of the rasteriser, for which most
+    captures are trained. The surface of a hit still lies where the response along the ray is largest."""
     PEAK = "peak"
-    """Point of the largest response along the ray."""
+    """Distance at which the Gaussian's response along the ray is largest."""
     HULL = "hull"
-    """Entry of the ray into the ellipsoid outside which the Gaussian is ignored. The surface lies there, too."""
+    """Distance at which the ray enters the ellipsoid outside which the Gaussian is ignored. The surface of a hit lies
+    there, too."""
 
 
 class NormalMethod(Enum):
@@ -145,12 +147,13 @@ class NormalMethod(Enum):
 
 
 class ShadowMethod(Enum):
-    """Transmittance of Gaussians along a shadow ray."""
+    """How the transmittance of Gaussians along a shadow ray is computed."""
 
     EXACT = "exact"
-    """Product over all Gaussians on the ray."""
+    """Multiplies the transmittances of all Gaussians on the ray."""
     FIRST_HITS = "first-hits"
-    """Product over the nearest ``hits`` only, as in NVIDIA's single pass, which is sometimes too bright."""
+    """Multiplies the transmittances of the ``hits`` nearest Gaussians, as NVIDIA's single pass; sometimes too bright.
+    """
     STOCHASTIC = "stochastic"
     """Blocks a ray entirely with the opacity along it as probability, independently of other rays
     (docs/method/shadows.md#stochastic-shadows). The mean is as bright as exact shadows, with noise. A blocked ray ends
@@ -176,7 +179,8 @@ class ResponseConfig:
     """Response at which a Gaussian ends, unless its alpha falls to 1/255 before. NVIDIA uses 0.0113, about the
     response at three standard deviations."""
     adaptive_clamping: bool = True
-    """Limits the product of response and opacity by ``min_response`` instead of the response alone."""
+    """Ends a Gaussian where response times opacity falls to ``min_response``; otherwise where the response alone does.
+    """
 
     __post_init__ = take_fields
 
@@ -193,7 +197,7 @@ class TraceConfig:
     """
 
     strategy: TraceStrategy = TraceStrategy.SORTED
-    """Compositing of the Gaussians on a ray."""
+    """How the Gaussians on a ray are composited: sorted, or by random acceptance."""
     hits_per_pass: Annotated[int, OneOf(HIT_COUNTS)] = HITS_PER_PASS
     """Gaussians that a ray collects in a pass, k. With ``STOCHASTIC_PASS``, a sample shows k Gaussians; with the other
     strategies only the cost depends on k."""
@@ -206,7 +210,8 @@ class TraceConfig:
     trained with it. Camera rays and their reflections have a pixel width; rays of ``trace_rays`` and parallel rays of
     orthographic cameras have none."""
     antialiasing: Antialiasing = Antialiasing.AUTO
-    """Gaussians that count as antialiased: their opacities were compensated in training, and rays add no ``dilation``.
+    """Which Gaussians count as antialiased: their opacities were compensated in training, so rays do not add
+    ``dilation`` to them.
     """
     normal_method: NormalMethod = NormalMethod.PLANE
     """Normal of a single Gaussian that a ray hits. Rasterised Gaussians always use ``PLANE``, in the raster pipeline
@@ -237,9 +242,9 @@ class ShadowConfig:
     """
 
     method: ShadowMethod = ShadowMethod.EXACT
-    """Transmittance of Gaussians along a shadow ray."""
+    """How the transmittance of Gaussians along a shadow ray is computed."""
     hits: Annotated[int, OneOf(HIT_COUNTS)] = HITS_PER_PASS
-    """Gaussians that ``FIRST_HITS`` multiplies."""
+    """Number of Gaussians, nearest first, whose transmittances ``FIRST_HITS`` multiplies."""
     hit_distance: Annotated[HitDistance, OneOf((HitDistance.PEAK, HitDistance.HULL))] = HitDistance.PEAK
     """Distance along a shadow ray at which a Gaussian is hit: orders the hits of ``FIRST_HITS``. The other methods do
     not depend on it."""
@@ -248,13 +253,12 @@ class ShadowConfig:
     surface's own Gaussian, whichever is less (docs/method/shadows.md#offset). Gaussians of another layer always cast
     shadows (docs/method/shadows.md#layers)."""
     offset_absolute: Annotated[float, Range(0.0, 1e6, "scene units")] = 0.0
-    """Distance added to ``offset``."""
+    """Distance added to the distance that the factor ``offset`` gives."""
     transmittance_min: Share = TRANSMITTANCE_MIN
     """Transmittance at which a shadow ray ends early and counts as black. To darken shadows on purpose, raise
     ``transmittance_threshold``."""
     transmittance_threshold: Annotated[float, Range(0.0, 0.99)] = 0.0
-    """Transmittance below which a shadow is black; higher values are stretched to the whole range. 0 changes nothing.
-    """
+    """Transmittance t up to which a shadow is black; larger ones, t..1, are stretched to 0..1. 0 changes nothing."""
     acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
     """Factor of the random numbers of ``STOCHASTIC``. Below 1, Gaussians block a ray with probability alpha divided by
     this factor: faster, and darker than exact (Hu et al. 2025, figure 4)."""
@@ -262,7 +266,8 @@ class ShadowConfig:
     """Shares one random number for each Gaussian between all rays of a ``STOCHASTIC`` sample. Up to twice as fast, but
     frames of few samples have blotches, which no filter removes."""
     color_strength: Annotated[float, Range(0.0, 5.0)] = 0.0
-    """Strength of the tint of partial shadows by the colour of the Gaussians that cast them, like stained glass."""
+    """Strength of the tint of partial shadows by the colour of the Gaussians that cast them, like stained glass; 0:
+    grey."""
 
     __post_init__ = take_fields
 

@@ -30,12 +30,12 @@ class Absorption(Enum):
 
 
 class AtlasLayout(Enum):
-    """Layout of the directions around a light in a deep shadow map."""
+    """How the directions around a point light are laid out in the atlas of a deep shadow map."""
 
     OCTAHEDRAL = "octahedral"
-    """One square without seams."""
+    """One square: the octahedral map of the sphere, without seams."""
     CUBEMAP = "cubemap"
-    """Six faces with the same number of texels in all."""
+    """Six faces of a cube, with about as many texels together as the one square of ``OCTAHEDRAL``."""
 
 
 class ReceiverSampling(Enum):
@@ -58,24 +58,24 @@ class DeepShadowConfig:
     """
 
     layout: AtlasLayout = AtlasLayout.OCTAHEDRAL
-    """Layout of the directions around a light; the map of a directional light is a plane instead."""
+    """Layout of the directions around a point light; a directional light has a planar map instead."""
     resolution: Annotated[int, Range(8, 8192, step=8)] = 2048
-    """Texels across and down."""
+    """Width and height of the square map, texels; the faces of ``CUBEMAP`` share as many texels."""
     bins: Annotated[int, Range(1, 4096)] = 256
     """Number of distance bins, K, which are of equal size from 0 to ``max_distance``."""
     max_distance: Length | None = None
-    """Distance from the light at which the bins end. None: behind all receivers, or without receivers, behind all
+    """Distance from the light at which the last bin ends. None: behind all receivers, or without receivers, behind all
     casters."""
     absorption: Absorption = Absorption.AVERAGE
     """Formula from a Gaussian's opacity to its absorption per length."""
     strength: Annotated[float, Range(0.0, 100.0)] = 1.0
     """Factor kappa of the absorption."""
     region: bool = True
-    """Computes only the texels and bins that receivers read."""
+    """Computes only the texels and bins that the receivers look up; otherwise the whole map."""
     region_radius: Length | None = None
-    """Distance from the bounding box of the casters, along x, y or z, beyond which receivers are ignored and stay lit.
-    A map that is used by itself still shadows such a receiver where it holds texels of nearer receivers. None: no
-    receiver is ignored."""
+    """Receivers farther than this from the casters' bounding box, along x, y or z, stay lit. A `DeepShadowMap` only
+    fits its texels to the others, so such a receiver is still shadowed where it looks up their texels. None: no limit.
+    """
     culling: bool = True
     """Lists for each tile the casters that its rays can hit; otherwise each ray tests all casters."""
     sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO
@@ -140,7 +140,7 @@ class DelightConfig:
     captured colour comes from the albedo. Otherwise the specular reflection of a default `MaterialPbr` is not part of
     the albedo."""
     seed: Seed = 0
-    """Seed of the rays, and of the choice of Gaussians that are compared."""
+    """Seed of the rays, and of the random pairs of Gaussians whose albedos are compared."""
 
     __post_init__ = take_fields
 
@@ -159,24 +159,25 @@ class LightEstimationConfig:
     radius: Length | None = None
     """Distance from the character's centre beyond which Gaussians are ignored. None: 1.5 extents."""
     viewpoint_distance: Length | None = None
-    """Distance of the four outer viewpoints from the character's centre. None: a tenth of the extent."""
+    """Distance from the character's centre to four viewpoints around it, from which, as from the centre, the
+    brightness of Gaussians is evaluated. None: a tenth of the extent."""
     emitter_size: Length | None = None
     """Largest size of a compact emitter. Gaussians nearer to the character's centre than this are no lights. None: a
     twelfth of the extent."""
     separation: Length | None = None
     """Smallest distance between two lights. None: three times ``emitter_size``."""
     compactness: Share = 0.5
-    """Fraction of a light's score by which the score must exceed the scores around the light. At 0, bright walls and
-    windows count as lights, too."""
+    """Smallest contrast of a light: 1 minus the score (brightness) of the Gaussians around it over its own. At 0,
+    bright walls and windows count as lights, too."""
     weakest: Share = 0.05
-    """Fraction of the best score below which Gaussians are no lights."""
+    """Smallest score (brightness) of a Gaussian that may be a light, as a fraction of the highest score."""
     evidence: Share = 0.05
-    """Fraction of the light on nearby surfaces that a light must explain, beyond what a smooth environment explains.
-    Low or broad lights must explain twice as much. At 0, anything bright counts as a light, whether or not it lights
-    surfaces."""
+    """Smallest fraction of the luminance variance of nearby surfaces, left by a smooth environment and earlier lights,
+    that a light explains. Lights that are not above the character, or not compact, must explain twice as much. At 0,
+    anything bright counts as a light, whether or not it lights surfaces."""
     irradiance: Annotated[float, Range(1e-6, 1e6)] = math.pi
-    """Sum over all lights of the irradiance on a surface at the character's centre that faces the light. With pi,
-    white paper is display white."""
+    """Irradiance that the estimated lights together give a surface at the character's centre that faces each of them.
+    With pi, white paper is display white."""
 
     __post_init__ = take_fields
 
@@ -194,13 +195,14 @@ class AvatarLightingConfig:
     shadow_map: DeepShadowConfig = field(default_factory=DeepShadowConfig)
     """Settings of the deep shadow map of each light."""
     direct: Share = 0.7
-    """Fraction of a receiver's light that comes from the lights; the rest is never in shadow. With 1 and one light,
-    shadows equal those of Mir et al. (2026): black where no light passes."""
+    """Fraction of the light on the captured scene that comes from the lights; the rest is never in shadow. With 1 and
+    one light, shadows equal those of Mir et al. (2026): black where no light passes."""
     relight: bool = True
     """Relights actors by the light at their position."""
     sun_on_actors: bool = True
     """Lights actors made of Gaussians by given suns, too, with the suns' own irradiance (pi: white paper that faces
-    them is display white). The scene can block suns, and light that the probe holds already is not added."""
+    them is display white). The scene can block suns; the sunlight that the light probe already holds is not added
+    again."""
     transfer: RelightConfig = field(default_factory=RelightConfig)
     """Settings of the transfer of a light probe's radiance to actors."""
     light_count: Annotated[int, Range(1, 64)] = 3

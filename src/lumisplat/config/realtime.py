@@ -56,11 +56,12 @@ class FilterConfig:
     frames: Annotated[int, Range(1, 1024)] = 32
     """Frames over which direct light is averaged: more frames are less noisy, and follow changes more slowly."""
     indirect_frames: Annotated[int, Range(1, 1024)] = 8
-    """Frames over which indirect light is averaged, at most ``frames``: screen probes have histories of their own."""
+    """Frames over which indirect light is averaged, at most ``frames``. Few suffice, because screen probes average,
+    too."""
     passes: Annotated[int, Range(0, 6)] = 4
-    """Passes that average each pixel with its neighbours, which are twice as far apart in each further pass."""
+    """Spatial filter passes, each a weighted mean over pixels whose spacing doubles from pass to pass (a-trous)."""
     radius: Annotated[int, Range(1, 2)] = 1
-    """Neighbours to each side in a pass."""
+    """Number of neighbouring pixels to each side that a filter pass reads."""
 
     __post_init__ = take_fields
 
@@ -77,15 +78,15 @@ class ProbeConfig:
     """Side of the square of pixels that has one probe. 16 takes a tenth less time on CPUs, with errors nearly twice as
     large."""
     cells: Annotated[int, Range(4, 16)] = 8
-    """Cells along each side of a probe's map of directions; a refresh traces one ray a cell."""
+    """Cells along each side of a probe's octahedral map of directions; updating a probe traces one ray per cell."""
     refreshed: Annotated[float, Range(0.01, 1.0)] = 0.25
-    """Probes that a frame refreshes, as a fraction of the number of tiles. With 8-pixel tiles and 8 x 8 cells, 0.25 is
-    one ray for 4 pixels."""
+    """Number of probes that a frame updates, as a fraction of the number of tiles. With 8-pixel tiles and 8 x 8 cells,
+    0.25 is one ray for 4 pixels."""
     history: Annotated[int, Range(1, 256)] = 4
-    """Refreshes over which a cell is averaged: more are less noisy, and follow changes more slowly."""
+    """Updates of a probe over which its radiance is averaged: more are less noisy, and follow changes more slowly."""
     adaptive: Share = 0.5
-    """Largest number of probes besides one a tile, as a fraction of the number of tiles. They cover surfaces that the
-    regular probes miss."""
+    """Largest number of probes in addition to one per tile, as a fraction of the number of tiles. They cover surfaces
+    that the probes of the tiles miss."""
 
     __post_init__ = take_fields
 
@@ -99,22 +100,23 @@ class RadianceCacheConfig:
     """
 
     tiles: Annotated[int, Range(64, 2**20)] = 16_384
-    """Largest number of tiles in the cache, each of 8 x 8 cells and 4.9 KiB. A full cache drops the least recently
-    used."""
+    """Largest number of tiles in the cache: squares of 8 x 8 cells on surfaces in world space, 4.9 KiB each. A full
+    cache drops the least recently used."""
     cell_size: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 1.0 / 8.0
     """Largest width of a cell as a fraction of its distance from the camera; widths are powers of two."""
     history: Annotated[int, Range(1, 1024)] | None = None
-    """Frames over which direct light is averaged. None: 16 on CUDA, 32 on CPUs, whose frames have fewer rays."""
+    """Frames over which a cell's direct light is averaged. None: 16 on CUDA, 32 on CPUs, whose frames have fewer rays.
+    """
     bounce_history: Annotated[int, Range(1, 1024)] = 4
-    """Rays over which indirect light is averaged. With fewer, light of many bounces arrives sooner; probes average the
-    remaining noise."""
+    """Rays over which a cell's indirect light is averaged. With fewer, light of many bounces arrives sooner; screen
+    probes average the remaining noise."""
     samples_min: Annotated[int, Range(1, 1024)] = 8
     """Samples below which a cell counts as noisy, and a mean over several cells is used."""
     bounces: Annotated[int, Range(128, 2**20)] = 8192
     """Rays that a frame traces from cells to find their indirect light: one a cell, or up to 16 if there are few
     cells."""
     unused_frames: Annotated[int, Range(1, 10_000)] = 50
-    """Frames without a hit after which a tile is dropped."""
+    """Number of frames after which a tile that no ray has hit is dropped from the cache."""
 
     __post_init__ = take_fields
 
@@ -128,12 +130,13 @@ class RealtimeConfig:
     """
 
     quality: RealtimeQuality = RealtimeQuality.BALANCED
-    """Preset of all other settings here that have their default values; settings with other values keep them."""
+    """Preset of the other real-time settings; it applies to those that still have their default value."""
     light_interval: Annotated[int, Range(1, 2)] = 1
     """Frames in which each pixel gets one sample of direct and of indirect light. With 2, each frame samples half of
     the blocks of 4 x 4 pixels. It is 1 where ``filter.passes`` is below 2, as newly visible surfaces would be black."""
     highlight_rays: bool = True
-    """Traces rays for narrow highlights, one for four pixels; otherwise highlights show blurred probes."""
+    """Traces a ray for every four pixels of narrow highlights; otherwise highlights show the blurred radiance of
+    probes."""
     antialiasing: bool = True
     """Averages pixels over frames with changing sample positions, which smooths edges."""
     filter: FilterConfig = field(default_factory=FilterConfig)
@@ -147,7 +150,7 @@ class RealtimeConfig:
 
     @property
     def of_quality(self) -> RealtimeConfig:
-        """The settings that frames use: those of ``quality`` in place of default values."""
+        """Settings that frames use: settings with default values are replaced by those of the preset ``quality``."""
         changes = _QUALITY_PRESETS[self.quality]
         groups = {
             "filter": _changed(self.filter, changes.get("filter", {})),

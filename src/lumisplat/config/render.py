@@ -27,7 +27,7 @@ CAPTURE_GAIN_MAX = 16.0
 
 
 class Shadows(Enum):
-    """Shadow rays: none, or to which point of a light."""
+    """Whether shadow rays are traced, and to which point of each light."""
 
     OFF = "off"
     """No shadow rays: light passes through everything."""
@@ -49,7 +49,7 @@ class ToneMap(Enum):
 
 
 PATH_PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
-"""Layers whose sum is a path-traced frame; other pipelines have only ``emission``."""
+"""Layers whose sum is a path-traced frame; of these, other pipelines but real time have only ``emission``."""
 
 EVERY_FRAME = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index", "position")
 """Layers that every frame has."""
@@ -101,7 +101,8 @@ class PathConfig:
     """
 
     primary: PathPrimary = PathPrimary.PARTICLE
-    """First surface of a path where the camera sees relit Gaussians. Real-time frames can converge to ``ISO``."""
+    """First surface of a path where the camera sees relit Gaussians. Real-time frames approximate paths with ``ISO``.
+    """
 
     __post_init__ = take_fields
 

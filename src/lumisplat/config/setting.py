@@ -134,38 +134,38 @@ _SENTENCE_END = re.compile(r"(?<!et al)\. ")
 
 @dataclass(frozen=True)
 class Setting:
-    """Declaration of one field."""
+    """Declaration of one setting, read from a dataclass field: its name, accepted values, help and default."""
 
     name: str
     """Name of the field."""
     kind: Kind
-    """Kind of its values. ``vector`` is three numbers, ``span`` two, and ``other`` anything that is not typed, such as
-    arrays."""
+    """Type of the accepted values. ``vector`` is three numbers, ``span`` a smallest and a largest number, and
+    ``other`` anything without a type that options could show, such as arrays."""
     help: str
     """Docstring below the field on one line, followed by the meaning of each choice."""
     is_optional: bool = False
     """True if the value may be None, which means automatic."""
     range: Range = _ANY
-    """Range of the number, or of both numbers of a span."""
+    """Range that the number, or both numbers of a span, must be in."""
     choices: tuple[Enum, ...] = ()
-    """Members of the field's enum that it accepts."""
+    """Members of the field's enum that the setting accepts; empty if the field is no enum."""
     numbers: tuple[int, ...] = ()
     """The few integers that the field accepts; empty if it accepts all of the range."""
     group: type[Any] | None = None
-    """Class of the settings in a group; None for single settings."""
+    """Settings class of a field that holds a whole group of settings; None for a single setting."""
     default: Any = None
     """Default value; `dataclasses.MISSING` if a value is required."""
     is_linear: bool = True
-    """True if a colour is linear, False if it is display-referred."""
+    """True if a colour setting is linear, False if it is display-referred sRGB."""
 
     @property
     def low(self) -> float | None:
-        """Smallest number; None without a limit."""
+        """Smallest accepted number; None if there is no lower limit."""
         return self.range.low if math.isfinite(self.range.low) else None
 
     @property
     def high(self) -> float | None:
-        """Largest number; None without a limit."""
+        """Largest accepted number; None if there is no upper limit."""
         return self.range.high if math.isfinite(self.range.high) else None
 
     @property
@@ -223,9 +223,9 @@ def all_settings(cls: type) -> Mapping[str, Setting]:
 
 
 class FieldDocs:
-    """Class docstring that ends with the fields and their docstrings, so that ``help`` shows them.
+    """Descriptor of ``__doc__``: the class docstring, followed by all fields with their docstrings, for ``help``.
 
-    The descriptor builds the text on first use, as it parses the source for the docstrings below fields.
+    The text is built at the first access, because the docstrings below fields have to be parsed from the source.
 
     Args:
         text: The docstring in the source.
@@ -253,7 +253,7 @@ def document_fields(*classes: type) -> None:
 
 
 def _setting(one: Any, hint: Any, text: str) -> Setting:
-    """Returns the declaration of a field."""
+    """Returns the `Setting` of a dataclass field from its type hint and its docstring ``text``."""
     default = one.default_factory() if one.default_factory is not MISSING else one.default
     base, limits, is_optional = _declared(hint)
     converter = one.metadata.get("converter")
@@ -276,7 +276,7 @@ def _setting(one: Any, hint: Any, text: str) -> Setting:
 
 
 def _declared(hint: Any) -> tuple[Any, Range | OneOf | None, bool]:
-    """Returns the plain type of a hint, its limits, and whether None is accepted."""
+    """Splits a type hint into the plain type, its `Range` or `OneOf` (None without), and whether it accepts None."""
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     plain_types = [option for option in options if option is not types.NoneType]
     limits = None
@@ -310,7 +310,7 @@ def _kind(base: Any) -> Kind:
 
 @cache
 def _takes(cls: type, error: type[LumisplatError]) -> tuple[tuple[str, object, Take], ...]:
-    """Returns name, default and check of the fields that have a check; computed once for each class."""
+    """Returns (name, default, converter) of each field of a class that has a converter; cached for each class."""
     hints = get_type_hints(cls, include_extras=True)
     found: list[tuple[str, object, Take]] = []
     for one in fields(cls):
@@ -321,7 +321,7 @@ def _takes(cls: type, error: type[LumisplatError]) -> tuple[tuple[str, object, T
 
 
 def _take(hint: Any, error: type[LumisplatError]) -> Take | None:
-    """Returns the function that checks and converts values of a type; None if there is none."""
+    """Returns the function that checks and converts values of a type hint; None for types that are not checked."""
     base, limits, is_optional = _declared(hint)
     take = _take_kind(base, limits, error)
     if take is None or not is_optional:
@@ -353,7 +353,7 @@ def _take_kind(  # noqa: PLR0911
 
 
 def _span(value: object, name: str, limits: Range, kind: type, error: type[LumisplatError]) -> Any:
-    """Returns the smallest and the largest value as Python numbers; a single number stands for both."""
+    """Converts a pair of numbers, or one number that stands for both, to (smallest, largest) within ``limits``."""
     single = plain(value)
     pair = (single, single) if isinstance(single, int | float) else single
     ends = [plain(end) for end in cast("list[object]", pair)] if isinstance(pair, tuple | list | np.ndarray) else []
@@ -366,7 +366,7 @@ def _span(value: object, name: str, limits: Range, kind: type, error: type[Lumis
 
 
 def _choice_help(cls: type[Enum], members: Iterable[Enum]) -> list[str]:
-    """Returns the meaning of members of an enum, each shortened to its first sentence."""
+    """Returns one text per enum member: its value and the first sentence of its docstring."""
     helps = docstrings_of(cls)
     firsts = {name: _SENTENCE_END.split(" ".join(text.split()), 1)[0].rstrip(".") for name, text in helps.items()}
     return [f"{member.value}: {firsts[member.name]}." for member in members if member.name in firsts]

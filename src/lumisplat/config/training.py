@@ -29,33 +29,33 @@ class Densification(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearningRates:
-    """Learning rates of the parameters, with the values of Kerbl et al. 2023.
+    """Adam learning rates of the trained parameters; the defaults are those of Kerbl et al. 2023.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     means: Rate = 1.6e-4
-    """Rate of means in the first step, as a fraction of the extent of the cameras."""
+    """Learning rate of the Gaussians' means in the first step, as a fraction of the extent of the cameras."""
     means_last: Rate = 1.6e-6
-    """Rate of means in the last step; in between, it falls by the same factor in each step."""
+    """Learning rate of the means in the last step, as a fraction of the cameras' extent; it decays exponentially."""
     rotations: Share = 1e-3
-    """Rate of rotations."""
+    """Learning rate of the Gaussians' rotation quaternions."""
     log_scales: Share = 5e-3
-    """Rate of logarithms of scales."""
+    """Learning rate of the logarithms of the Gaussians' scales."""
     logits: Share = 5e-2
-    """Rate of opacity logits."""
+    """Learning rate of the opacities' logits."""
     sh: Share = 2.5e-3
-    """Rate of SH coefficients of degree 0; higher degrees have a twentieth."""
+    """Learning rate of SH coefficients of degree 0; those of higher degrees have a twentieth of it."""
     exposures: Rate = 1e-2
-    """Rate of image exposures in the first step."""
+    """Learning rate of the images' exposures (colour matrices) in the first step."""
     exposures_last: Rate = 1e-3
-    """Rate of image exposures in the last step; in between, it falls by the same factor in each step."""
+    """Learning rate of the images' exposures in the last step; it decays exponentially."""
     poses: Rate = 3e-3
-    """Rate of camera poses in the first step: radians, and fractions of the distance to the point that the cameras
-    look at."""
+    """Learning rate of camera poses in the first step: radians, and for positions, fractions of the distance to the
+    point that the cameras look at."""
     poses_last: Rate = 1e-4
-    """Rate of camera poses in the last step; in between, it falls by the same factor in each step."""
+    """Learning rate of camera poses in the last step, in the units of ``poses``; it decays exponentially."""
 
     __post_init__ = take_fields
 
@@ -81,10 +81,10 @@ class TrainConfig:
     ssim: Share = 0.2
     """Weight of the SSIM term in the loss; the rest is L1."""
     random_background: bool = False
-    """Gives images with transparency and their renders a new background colour in each step. Gaussians then neither
-    fill transparent regions with the background's colour nor leave them undefined."""
+    """Composites images with transparency, and their renders, over a new random colour in each step. Gaussians then
+    neither fill transparent regions with the background's colour nor leave them undefined."""
     alpha: Annotated[float, Range(0.0, 10.0)] = 0.1
-    """Weight of the alpha error, for images that have alpha."""
+    """Weight in the loss of the mean absolute error of alpha, for images that have alpha."""
     mask_entropy: Annotated[float, Range(0.0, 10.0)] = 0.0
     """Weight of the cross entropy between rendered and image alpha, which makes covered pixels opaque and others clear
     (R3DG uses 0.1)."""
@@ -119,8 +119,8 @@ class TrainConfig:
     projection: Projection = Projection.EWA
     """Projection of ``RASTER``: ``UNSCENTED`` follows the rays of any lens, and needs MCMC."""
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] = KERNEL_DEGREE
-    """Exponent of the distance in the response of Gaussians: 0 is linear, 2 Gaussian, 5 quintic. Other degrees than 2
-    need ``TRACE``."""
+    """Exponent p of the distance d in the response, exp(-c d^p): 2 is Gaussian, 5 quintic; 0 is a linear response.
+    Other degrees than 2 need ``TRACE``."""
     prune_below: Share = 0.01
     """Blending weight that a Gaussian must reach in at least one pixel of one image; all other Gaussians are removed
     at the end. If no Gaussian reaches it, all remain."""

@@ -315,7 +315,7 @@ def _draw(colors: FloatArray, count: int, seed: int) -> FloatArray:
 
 
 COEFFICIENTS = (IRRADIANCE_SH_DEGREE + 1) ** 2
-_BANDS = np.repeat(np.arange(IRRADIANCE_SH_DEGREE + 1), 2 * np.arange(IRRADIANCE_SH_DEGREE + 1) + 1)
+_DEGREES = np.repeat(np.arange(IRRADIANCE_SH_DEGREE + 1), 2 * np.arange(IRRADIANCE_SH_DEGREE + 1) + 1)
 """Degree l of each SH coefficient."""
 
 
@@ -363,7 +363,7 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
     if not mean > 0.0:
         raise SceneError(f"all {values.size:,} {name} are black: they hold no light to fit")
     basis = _basis(normals)
-    penalty = IRRADIANCE_SMOOTHNESS * _BANDS * (_BANDS + 1.0)
+    penalty = IRRADIANCE_SMOOTHNESS * _DEGREES * (_DEGREES + 1.0)
     fitted = robust_fit(basis, values / mean, penalty, relative_above=IRRADIANCE_FLOOR)
     total = float(np.abs(fitted).sum())
     coefficients = fitted / total

@@ -48,7 +48,7 @@ from lumisplat.training.losses import SurfaceLoss
 
 
 class _Backend:
-    """Base class of the training backends; its scene holds one Gaussian set."""
+    """Base class of the training backends, which render one trained Gaussian set and differentiate the frame."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
@@ -119,7 +119,7 @@ class TrainingRaster(_Backend):
         """Gradient with respect to the splats of the last frame, ``SplatGradient``; written by ``backward``."""
 
     def modules(self) -> list[KernelModule]:
-        """Kernel modules of the forward and the backward pass."""
+        """Kernel modules that ``draw`` and ``backward`` launch."""
         return [*self._unlit.modules(has_meshes=False), *self._backward.modules()]
 
     def bind(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
@@ -152,7 +152,10 @@ class TrainingRaster(_Backend):
     def compare_surfaces(
         self, surfaces: SurfaceLoss, pixels: PixelData, target: TargetImage, weight_sum: float, gradient: PixelGradient
     ) -> SurfaceMaps:
-        """Evaluates the surface terms of the loss on the last frame, as `SurfaceLoss.differentiate`."""
+        """Evaluates the depth, normal and smoothness terms of the loss on the last frame.
+
+        Arguments and result are those of `SurfaceLoss.differentiate`.
+        """
         return surfaces.differentiate(self._scene, self.drawn, pixels, target, weight_sum=weight_sum, gradient=gradient)
 
     def backward(
@@ -254,7 +257,7 @@ class TrainingRays(_Backend):
         self._sums: RaySums
 
     def modules(self) -> list[KernelModule]:
-        """Kernel modules of the forward and the backward pass."""
+        """Kernel modules that ``draw`` and ``backward`` launch."""
         plan = FramePlan.of(self._config, Scene())
         modules = [*self._tracer.modules(plan), *self._rays.modules(), *self._scene.modules(plan)]
         return [*modules, picture_kernels.RAYS, *self._backward.modules()]
@@ -291,7 +294,7 @@ class TrainingRays(_Backend):
         self._backward.add(self._scene, self._hits, by_rays, sums)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """Returns the gradient with respect to the camera pose, as `TrainingRaster.by_pose`."""
+        """Returns the gradient with respect to the upper rows of ``camera_from_world``, as `TrainingRaster.by_pose`."""
         return pose_of_rays_gradient(self._sums.motions, [SplatInstance(self._gaussians)], camera)
 
 
@@ -312,7 +315,7 @@ class TrainingUnscented(_Backend):
         self._backward = UnscentedBackward(launcher, buffers)
 
     def modules(self) -> list[KernelModule]:
-        """Kernel modules of the forward and the backward pass."""
+        """Kernel modules that ``draw`` and ``backward`` launch."""
         modules = self._raster.modules(FramePlan.of(self._config, Scene()))
         return [*modules, *self._rays.modules(), picture_kernels.RAYS, *self._backward.modules()]
 
@@ -320,7 +323,7 @@ class TrainingUnscented(_Backend):
         """Renders colour and alpha of a frame and returns its pixels.
 
         Args:
-            camera: A pinhole or fisheye camera.
+            camera: A camera with any lens or a rolling shutter, but without an aperture.
             sh_degree: SH degree of the colours.
             background: Display-referred sRGB behind the Gaussians.
         """
@@ -358,11 +361,11 @@ class TrainingUnscented(_Backend):
         run(weight_kernels.reduce_largest, hits.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """Returns the gradient with respect to the camera pose, as `TrainingRaster.by_pose`."""
+        """Returns the gradient with respect to the upper rows of ``camera_from_world``, as `TrainingRaster.by_pose`."""
         return pose_of_rays_gradient(self._backward.motions(self._last_hits), [SplatInstance(self._gaussians)], camera)
 
     @property
     def _last_hits(self) -> DrawnRaySplats:
-        """Splats that the camera rays of the last frame intersected."""
+        """Splats in the tile lists of the last frame, which were evaluated along its camera rays."""
         assert self._raster.drawn is not None
         return self._raster.drawn

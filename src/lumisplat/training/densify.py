@@ -43,12 +43,12 @@ RESET_OPACITY = 0.01
 Doubles = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 THRESHOLD_MIN = 1e-30
-"""Lower bound of the gradient threshold, which avoids a division by zero."""
+"""Lower bound of ``TrainConfig.grow_pull``, by which gradients are divided."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DensifyStats:
-    """Statistics gathered since the last densification, by which Gaussians are cloned and split."""
+    """Mean gradients of each Gaussian since the last densification, which decide whether it is cloned or split."""
 
     iteration: int
     """Number of training iterations completed."""
@@ -59,14 +59,16 @@ class DensifyStats:
 
     The mean is over the frames since the last densification that drew the Gaussian."""
     normal_gradient: Doubles
-    """Mean gradient of the surface terms with respect to the rotation of each Gaussian's normal, shape (N,).
+    """Mean magnitude of the loss gradient with respect to rotating each Gaussian's normal, shape (N,).
 
-    The terms are summed over pixels, and averaged over the same frames as ``screen_gradient``."""
+    Only the surface terms of the loss count, summed over pixels. The mean is over the frames since the last
+    densification that drew the Gaussian."""
 
     def excess(self, config: TrainConfig) -> Doubles:
-        """Returns the gradient of each of N Gaussians divided by its threshold, shape (N,).
+        """Returns by what factor the gradients of each of N Gaussians exceed their thresholds, shape (N,).
 
-        Gaussians with a quotient above 1 are cloned or split.
+        It is the larger of ``screen_gradient / grow_pull`` and ``normal_gradient / grow_turn``; the second does not
+        count if ``grow_turn`` is 0. Gaussians above 1 are cloned or split.
         """
         screen_excess = self.screen_gradient / max(config.grow_pull, THRESHOLD_MIN)
         return (
@@ -79,11 +81,11 @@ class DensifyStats:
 def densified(
     parameters: TrainedParameters, stats: DensifyStats, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
-    """Returns the Gaussians after one densification by the configured strategy.
+    """Adds and removes Gaussians once, by MCMC or adaptive densification, and returns the new set.
 
     Args:
         parameters: Current Gaussians; the function may change their arrays.
-        stats: Statistics since the last densification.
+        stats: Mean gradients since the last densification; MCMC does not read them.
         config: Training settings.
         rng: Random number generator.
     """
@@ -100,10 +102,10 @@ def densified(
 
 
 def relocated(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
-    """Moves dead Gaussians onto living ones, chosen at random in proportion to opacity.
+    """Moves dead Gaussians onto living ones, which are chosen at random in proportion to opacity.
 
-    A living Gaussian and the dead ones moved onto it form a group. Opacities and scales of the group are reduced so
-    that it renders like the living Gaussian did before.
+    Dead is an opacity of at most `DEAD_OPACITY`. A living Gaussian and the dead ones moved onto it form a group;
+    opacities and scales of the group are reduced so that it renders like the living Gaussian did before.
     """
     opacities = parameters.opacities
     dead, alive = np.flatnonzero(opacities <= DEAD_OPACITY), np.flatnonzero(opacities > DEAD_OPACITY)

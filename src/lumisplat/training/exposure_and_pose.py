@@ -38,12 +38,12 @@ class Exposures:
 
     @classmethod
     def neutral(cls, count: int) -> Exposures:
-        """Returns identity exposures for ``count`` images."""
+        """Returns ``count`` exposures that change no colour: an identity matrix and no added colour each."""
         return cls(np.repeat(IDENTITY[None], count, axis=0), Adam.still((count, 12), by_rows=True))
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """Exposures and Adam moments by name: all that the next update depends on."""
+        """Exposures and their Adam moments by name, for checkpoints; ``restore`` reads them."""
         return {"exposures": self.values} | self.adam.state("exposures")
 
     def restore(self, state: dict[str, Doubles]) -> None:
@@ -121,8 +121,8 @@ class Poses:
     """Initial ``camera_from_world`` of each image, shape (K, 4, 4)."""
     adam: Adam
     length: float
-    """Translation, scene units, that counts as much as a rotation by one radian: the distance from the cameras to
-    their common target."""
+    """Distance from the cameras to their common target, scene units; a translation by it counts as much as a rotation
+    by one radian."""
 
     @classmethod
     def of(cls, cameras: Sequence[Camera], length: float) -> Poses:
@@ -143,7 +143,7 @@ class Poses:
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """Poses and Adam moments by name: all that the next update depends on."""
+        """Current poses and their Adam moments by name, for checkpoints; ``restore`` reads them."""
         return {"poses": self.values} | self.adam.state("poses")
 
     def restore(self, state: dict[str, Doubles]) -> None:

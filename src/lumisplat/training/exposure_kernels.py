@@ -24,7 +24,7 @@ def gaussian_color(pixels: PixelData, exposure: Exposure, i: int) -> wp.vec3:
 
 @wp.kernel
 def expose(start: int, exposure: Exposure, pixels: PixelData, color_out: wp.array[wp.vec3]):
-    """Applies the exposure to the Gaussians' colour and adds the unchanged background. One item is one pixel."""
+    """Applies the exposure to the Gaussians' colour and adds the unchanged background. One thread per pixel."""
     i = start + wp.tid()
     alpha = pixels.alpha[i]
     exposed = exposure.matrix * gaussian_color(pixels, exposure, i) + alpha * exposure.offset
@@ -41,7 +41,7 @@ def differentiate_chunks(
     by_matrix_out: wp.array[wp.mat33],
     by_offset_out: wp.array[wp.vec3],
 ):
-    """Writes the gradient of each pixel, and the sum over a chunk for the exposure. One item is one chunk of pixels."""
+    """Writes the gradient of each pixel before exposure, and a chunk's sum for the exposure. One thread per chunk."""
     chunk = start + wp.tid()
     by_matrix = wp.mat33(0.0)
     by_offset = wp.vec3(0.0)

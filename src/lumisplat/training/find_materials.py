@@ -52,7 +52,7 @@ from lumisplat.training.train import CHECKPOINT_EVERY_S
 from lumisplat.training.views import TargetPixels, TrainingView
 
 EXPOSURE_VIEWS = 24
-"""Largest number of images whose exposures are compared."""
+"""Largest number of images whose brightness is compared with renders of the capture, to find varying exposures."""
 
 EXPOSURE_PIXELS = 64
 """Smallest number of unclipped pixels from which the exposure of an image is estimated."""
@@ -68,7 +68,7 @@ Photographs taken with one exposure measure 0.1, rendered images 0.01."""
 _log = logging.getLogger("lumisplat")
 
 ENVIRONMENT = ".environment.exr"
-"""Suffix that replaces ``.ply`` in the name of the environment image beside a capture."""
+"""Suffix of the file beside a capture that holds its environment image, in place of the capture's ``.ply``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +160,7 @@ def find_materials(
 
 
 class _Search:
-    """State of one call of ``find_materials``."""
+    """One call of `find_materials`: traces incident radiance, fits the environment, then refines the materials."""
 
     def __init__(
         self,
@@ -177,7 +177,7 @@ class _Search:
         self._device, self._threads, self._progress = device, threads, progress
 
     def run(self) -> FoundMaterials:
-        """Runs or resumes the search."""
+        """Runs the material search, or continues it from its state files, and returns the result."""
         state = None if self._files is None else self._files.read()
         incident = None
         if state is None:
@@ -248,9 +248,9 @@ class _Search:
         )
 
     def _refined(self, state: SearchState, incident: IncidentRadiance | None) -> tuple[Materials, tuple[float, ...]]:
-        """Runs the remaining iterations; returns materials and environment, and the L1 errors of the last epoch.
+        """Runs the remaining iterations of the search; returns the materials with the environment, and L1 errors.
 
-        Ctrl C ends the search after the current iteration.
+        The errors are those of the last epoch, one per image. Ctrl C ends the search after the current iteration.
 
         Args:
             state: State from which the search continues.
@@ -292,13 +292,13 @@ class _Search:
         return fit.materials, tuple(errors)
 
     def _save(self, state: SearchState, fit: MaterialFit, errors: Iterable[float]) -> None:
-        """Writes the current state of the search."""
+        """Writes the state of the material search after the iterations that ``fit`` has completed."""
         if self._files is not None:
             self._files.write(replace(state, iteration=fit.iteration, fit=fit.state, errors=tuple(errors)))
 
 
 def environment_path(output: Path) -> Path:
-    """Returns the path of the environment image beside a capture."""
+    """Returns the path of a capture's environment image: ``fox.environment.exr`` for ``fox.ply``."""
     return output.with_name(output.stem + ENVIRONMENT)
 
 
@@ -318,7 +318,7 @@ def _write(output: Path, found: FoundMaterials) -> None:
 
 
 _COVERED_MIN = 0.99
-"""Lower bound of alpha, and of the pixel's weight in the loss, for pixels whose exposures are compared."""
+"""Smallest alpha, and smallest loss weight, of the pixels from which the exposure of an image is estimated."""
 
 
 def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], renderer: Renderer, report: Progress) -> float:
@@ -364,7 +364,8 @@ def _stops_brighter(target: TargetPixels, frame: Frame) -> list[float]:
 VERSION = 1
 _OF_START, _OF_FIT = "start.", "fit."
 _SETTING_KEYS = {"environment_steps": "sky_steps"}
-"""Names of settings as they are hashed, for those with other names in `MaterialsConfig`."""
+"""Key under which a setting enters the fingerprint of a search, where it differs from the field of `MaterialsConfig`.
+"""
 
 _MATERIAL_KEYS = {"albedo": "albedo", "roughness": "roughness", "normals": "normals", "environment": "sky"}
 """Name of each `Materials` field's array in the state file."""
@@ -372,30 +373,31 @@ _MATERIAL_KEYS = {"albedo": "albedo", "roughness": "roughness", "normals": "norm
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchState:
-    """Complete state of a search, without its settings, images, capture and incident radiance."""
+    """State from which a material search resumes, without its settings, images, capture and incident radiance."""
 
     start: Materials
-    """Initial materials and environment."""
+    """Materials and environment before the first iteration."""
     too_light: float
     """Fraction of Gaussians whose initial albedo was clamped, as in `FoundMaterials.too_light`."""
     iteration: int = 0
     """Number of iterations completed."""
     fit: dict[str, Doubles] = field(default_factory=dict[str, Doubles])
-    """Optimised arrays and their Adam moments by name, as `MaterialFit.state`; empty before the first iteration."""
+    """Optimised materials and environment with their Adam moments, by name, as `MaterialFit.state`; empty before the
+    first iteration."""
     errors: tuple[float, ...] = ()
     """L1 errors of the latest iterations, at most one per image."""
 
 
 @dataclass(frozen=True, slots=True)
 class MaterialFiles:
-    """State files of one search.
+    """Files that hold the state of one material search, in the folder beside its capture.
 
     A file that is damaged or belongs to another search is ignored: a warning is logged and the search starts again.
     """
 
     folder: Path
     fingerprint: str
-    """Hash of the capture, images and settings."""
+    """Hash of the capture, images and settings of the material search; other files belong to another search."""
     count: int
     """Number of Gaussians of the capture."""
     directions: int
@@ -403,7 +405,14 @@ class MaterialFiles:
 
     @classmethod
     def of(cls, folder: Path, gaussians: Gaussians, images: str, config: MaterialsConfig) -> MaterialFiles:
-        """Returns the files of the search with this capture, this fingerprint of the images and these settings."""
+        """Returns the state files of a material search.
+
+        Args:
+            folder: Folder of the files.
+            gaussians: The capture.
+            images: Fingerprint of the images.
+            config: Settings.
+        """
         settings = {_SETTING_KEYS.get(name, name): value for name, value in asdict(config).items()}
         stored = hashlib.sha256(json.dumps([VERSION, images, settings, gaussians.antialiased]).encode())
         for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
@@ -460,7 +469,7 @@ class MaterialFiles:
             return None
 
     def write_incident(self, incident: IncidentRadiance) -> None:
-        """Writes the traced incident radiance: a large file that is only needed until the search ends.
+        """Writes the traced incident radiance of all Gaussians: a large file that is removed when the search ends.
 
         Raises:
             FormatError: The file cannot be written.
@@ -485,7 +494,7 @@ class MaterialFiles:
             return None
 
     def remove_incident(self) -> None:
-        """Removes the stored incident radiance."""
+        """Removes the file with the traced incident radiance, if there is one."""
         self._incident_path.unlink(missing_ok=True)
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:

@@ -25,12 +25,12 @@ from lumisplat.scene.scene import Scene
 from lumisplat.training import material_gradient_kernels, material_kernels
 
 LIFT_SHORTEST = 4.0
-"""Height of ray origins above a Gaussian, in units of its smallest scale. The Gaussian's response there is 3e-4, so it
-does not block its own rays."""
+"""Lowest height at which rays start above a Gaussian, in units of its smallest scale; `LIFT_ALONG` may be higher. The
+Gaussian's response there is 3e-4, so it does not block its own rays."""
 
 LIFT_ALONG = 1.0
-"""Height of ray origins above a Gaussian, in units of its middle scale; overlapping neighbours reach that far above
-its plane."""
+"""Lowest height at which rays start above a Gaussian, in units of its middle scale; `LIFT_SHORTEST` may be higher.
+Overlapping neighbours reach that far above the Gaussian's plane."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +44,7 @@ class Materials:
     normals: Doubles
     """Unit normals in world space, shape (N, 3)."""
     environment: Doubles
-    """Radiance of the environment in K directions, shape (K, 3)."""
+    """Radiance of the environment in K evenly spread directions, linear, in units of display white, shape (K, 3)."""
 
 
 class LitGaussians:
@@ -74,7 +74,7 @@ class LitGaussians:
         self._eye = wp.vec3()
 
     def shade(self, materials: Materials, eye: Doubles, sh_out: DeviceArray) -> None:
-        """Computes each Gaussian's radiance towards an eye point, for ``radiance`` and as display colour.
+        """Computes each Gaussian's radiance towards an eye point; stores it as ``radiance``, and as display colour.
 
         Args:
             materials: Materials of the Gaussians.
@@ -90,9 +90,9 @@ class LitGaussians:
             self._launcher.run_banded(material_kernels.shade, self._count, *inputs)
 
     def decode(self, rects: DeviceArray, by_splats: DeviceArray) -> None:
-        """Converts the gradient with respect to splat colours to one with respect to linear radiance.
+        """Converts the loss gradient of the splats' display colours to that of the Gaussians' linear radiance.
 
-        ``differentiate`` continues from the result.
+        The result stays on the device, for ``differentiate``.
 
         Args:
             rects: Tile rectangles of the splats of the last frame.
@@ -135,7 +135,7 @@ def _floats(values: Doubles | FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IncidentRadiance:
-    """Incident radiance of N Gaussians from K evenly spread directions."""
+    """Radiance that arrives at N Gaussians from K evenly spread directions: environment and other Gaussians."""
 
     directions: Doubles
     """Unit directions towards the light, shape (K, 3)."""
@@ -150,9 +150,10 @@ class IncidentRadiance:
         return 4.0 * np.pi / len(self.directions)
 
     def irradiance(self, normals: Doubles) -> Irradiance:
-        """Returns the irradiance, divided by pi, of N Gaussians with the given normals, shape (N, 3).
+        """Returns the irradiance over pi of N Gaussians: captured light, K environment directions, no emitters.
 
-        The result has no emitters.
+        Args:
+            normals: Unit normals of the Gaussians, world space, shape (N, 3).
         """
         cosines = np.maximum(normals @ self.directions.T, 0.0).astype(np.float32)
         shares = cosines * np.float32(self.solid_angle / np.pi)

@@ -1,6 +1,7 @@
 """L1 and SSIM loss between a frame and a training image, and its gradient with respect to the frame's pixels.
 
-An item is a run of pixels of a row: a whole row on CPUs, where loops become vector instructions, a pixel on CUDA.
+A thread works on a run of consecutive pixels of a row: the whole row on CPUs, where loops become vector instructions,
+and one pixel on CUDA.
 
 SSIM is that of Wang et al. 2004 with a Gaussian window of 11 pixels. Images are mirrored at their borders
 (d c b a | a b c d), which makes the blur its own adjoint. The equations are in docs/method/training.md.
@@ -21,7 +22,8 @@ SSIM_C2 = 0.03**2
 """Second stabilisation constant of SSIM for images in 0..1 (Wang et al. 2004, section III-C)."""
 
 COVERED_MIN = 1e-6
-"""Smallest distance of alpha from 0 and 1 in the cross entropy; closer values are clamped. Gao et al. 2024, code."""
+"""Alpha is clamped to this number and 1 minus it in the cross entropy, whose logarithm would be infinite at 0 and 1.
+Gao et al. 2024, code."""
 
 TAPS = wp.constant(SSIM_WINDOW_PX)
 REACH = wp.constant(SSIM_WINDOW_PX // 2)
@@ -66,7 +68,7 @@ def entropy_derivative(alpha: float, wanted: float) -> float:
 
 @wp.func
 def run_of(item: int, grid: LossGrid):
-    """Returns the row of an item's run of pixels, the run's first column, and the column after its last."""
+    """Returns the row, first column and end column (exclusive) of the run of pixels that thread ``item`` works on."""
     runs = (grid.width + grid.run - 1) // grid.run
     left = (item % runs) * grid.run
     return item // runs, left, wp.min(left + grid.run, grid.width)
@@ -74,7 +76,7 @@ def run_of(item: int, grid: LossGrid):
 
 @wp.kernel
 def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: TargetImage, maps_out: LossMaps):
-    """Blurs the values, squares and products of frame and target along the row. One item is one run of pixels."""
+    """Blurs the two images, their squares and their product along rows, for SSIM. One thread per run of pixels."""
     y, left, right = run_of(start + wp.tid(), grid)
     width = grid.width
     row = y * width
@@ -103,9 +105,10 @@ def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: Targ
 
 @wp.kernel
 def compare_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps, ssim_out: wp.array[float]):
-    """Computes SSIM, and its derivatives with respect to blurred values, squares and products. One item is one run.
+    """Computes SSIM, and its derivatives with respect to blurred values, squares and products. One thread per run.
 
-    The maps that `blur_rows` blurred along rows are blurred along columns first. The SSIM is summed over the run.
+    A run is consecutive pixels of a row. The maps that `blur_rows` blurred along rows are blurred along columns first.
+    The SSIM is summed over the run.
     """
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
@@ -147,7 +150,7 @@ def compare_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps,
 
 @wp.kernel
 def spread_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps):
-    """Blurs the derivatives of SSIM along the row, as the adjoint of `blur_rows`. One item is one run of pixels."""
+    """Blurs the derivatives of SSIM along rows, as the adjoint of `blur_rows`. One thread per run of pixels."""
     y, left, right = run_of(start + wp.tid(), grid)
     width = grid.width
     row = y * width
@@ -179,9 +182,9 @@ def differentiate_rows(
     by_alpha_out: wp.array[float],
     sums_out: wp.array[wp.vec4],
 ):
-    """Writes the loss gradient of a run's pixels, and sums of four error terms over the run. One item is one run.
+    """Writes the loss gradient of each pixel of a run, and the run's sums of four error terms. One thread per run.
 
-    The terms are L1, squared error, alpha error and cross entropy of alpha.
+    A run is consecutive pixels of a row. The terms are L1, squared error, alpha error and cross entropy of alpha.
     """
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
@@ -227,7 +230,7 @@ def add_rows(
     ssim_out: wp.array[float],
     sums_out: wp.array[wp.vec4],
 ):
-    """Adds the sums of all runs of a row. One item is one row."""
+    """Adds the error sums of all pixel runs of a row to one sum per row. One thread per row."""
     y = start + wp.tid()
     runs = (grid.width + grid.run - 1) // grid.run
     total = float(0.0)

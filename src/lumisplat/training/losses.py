@@ -35,7 +35,7 @@ from lumisplat.training import loss_kernels, surface_kernels as kernels
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """Loss between a frame and a training image; weighted means over pixels and channels."""
+    """Loss between a frame and a training image, and its terms: means over pixels and channels, weighted by pixel."""
 
     l1: float
     squared: float
@@ -45,9 +45,10 @@ class Loss:
     alpha: float
     """Mean absolute error of alpha; 0 if the target alpha is unknown."""
     entropy: float
-    """Mean cross entropy of alpha; 0 if the target alpha is unknown."""
+    """Mean binary cross entropy between rendered and target alpha; 0 if the target alpha is unknown."""
     total: float
-    """Weighted sum that is minimised."""
+    """Image loss that is minimised: ``(1 - s) L1 + s (1 - SSIM) + a alpha + e entropy``, with the weights of
+    `ImageLoss`."""
 
 
 class ImageLoss:
@@ -141,20 +142,20 @@ class ImageLoss:
 
 
 FEATURES = 5
-"""Number of feature channels: 1 for depth, 1 for squared depth, 3 for the normal."""
+"""Number of values per Gaussian that the surface terms blend: depth, squared depth, and three of the normal."""
 
 
 class SurfaceLoss:
-    """Loss terms on the depths and normals of a frame.
+    """Loss terms on the depths and normals of a frame, which align Gaussians with surfaces.
 
     Args:
         launcher: Runs the kernels.
         buffers: Owner of the device arrays.
-        channels: Renders feature channels.
+        channels: Blends the depths and normals of Gaussians along pixels.
         normals: Weight of 1 minus the cosine between the Gaussians' normal and the normal of the depth map.
         depth: Weight of the standard deviation of depth along a ray, in units of the extent.
         smooth: Weight of the difference between normals of neighbouring pixels, reduced at edges of the image.
-        middle: View depth in the middle of the scene, which is subtracted from depth features, scene units.
+        middle: View depth in the middle of the scene, which is subtracted from depths to save digits, scene units.
         extent: Scene extent, scene units.
     """
 
@@ -236,7 +237,7 @@ class SurfaceLoss:
         return maps
 
     def backward(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray) -> DeviceArray:
-        """Returns the gradient with respect to the features of each of N Gaussians, shape (N, 5).
+        """Returns the gradient with respect to depth, squared depth and normal of each of N Gaussians, shape (N, 5).
 
         The gradient with respect to the splats is added to ``by_splat``.
         """
@@ -246,12 +247,12 @@ class SurfaceLoss:
     def add_normal_gradients(
         self, scene: DeviceScene, drawn: DrawnSplats, by_features: DeviceArray, record: SplatRecord
     ) -> None:
-        """Adds the magnitude of each drawn Gaussian's normal gradient to the densification statistics.
+        """Adds each drawn Gaussian's loss gradient for rotating its normal to the densification statistics.
 
         Args:
             scene: Device scene of the frame.
             drawn: Splats of the frame.
-            by_features: Gradient with respect to features, from ``backward``.
+            by_features: Gradient with respect to depth, squared depth and normal of each Gaussian, from ``backward``.
             record: Densification statistics, changed in place.
         """
         data: GaussianData = scene.assets[0].data
@@ -259,7 +260,7 @@ class SurfaceLoss:
         self._launcher.run_banded(kernels.add_normal_gradients, len(data.opacities), *inputs)
 
     def add_by_features(self, scene: DeviceScene, by_features: DeviceArray, gradient: GaussianGradient) -> None:
-        """Adds the gradient of means and rotations that follows from the gradient of features to ``gradient``."""
+        """Adds to ``gradient`` the gradient of means and rotations, from that of the Gaussians' depths and normals."""
         data: GaussianData = scene.assets[0].data
         inputs = (scene.camera, self._terms, data, by_features, gradient)
         self._launcher.run_banded(kernels.add_by_features, len(data.opacities), *inputs)

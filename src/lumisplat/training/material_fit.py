@@ -40,7 +40,7 @@ LOGIT_MAX = 16.0
 
 
 class ColoredGaussians:
-    """Rasterises Gaussians of fixed geometry in changing colours.
+    """Rasterises Gaussians of fixed geometry, whose colours in ``sh`` change between frames.
 
     Args:
         launcher: Runs the kernels.
@@ -82,7 +82,7 @@ class ColoredGaussians:
         return self._raster.drawn.splats.rects
 
     def draw(self, camera: Camera, background: Color) -> PixelData:
-        """Renders a frame and returns its pixels."""
+        """Renders a pinhole camera's frame of the Gaussians with the colours in ``sh``, and returns its pixels."""
         return self._raster.draw(camera, 0, background)
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
@@ -116,21 +116,21 @@ ENVIRONMENT_RATE = 0.05
 """Initial learning rate of the logarithm of the environment's radiance; it falls linearly to 0."""
 
 ENVIRONMENT_SMOOTHNESS = 1e-3
-"""Weight of the smoothness term: squared differences of log radiance between neighbouring directions. The albedo term,
-a mean over pairs of Gaussians, has weight 1."""
+"""Weight of squared differences of log radiance between neighbouring directions of the environment. The albedo term, a
+mean over pairs of Gaussians (`SimilarPairs.albedo_term`), has weight 1."""
 
 ENVIRONMENT_NEIGHBOURS = 6
 
 ENVIRONMENT_PRIOR = 1e-4
 """Weight of the squared change of log radiance from the initial environment. The albedo term, a mean over pairs of
-Gaussians, has weight 1."""
+Gaussians (`SimilarPairs.albedo_term`), has weight 1."""
 
 ENVIRONMENT_VISIBLE_MIN = 0.02
 """Fraction of the environment that the median Gaussian must see. Below it, the scene counts as a closed room, whose
 environment cannot be estimated."""
 
 CHROMA_WIDTH = 0.15
-"""Difference of log chromaticity up to which two Gaussians are assumed to have the same albedo."""
+"""Difference of log chromaticity within which two Gaussians are assumed to have the same albedo."""
 
 EDGE_WIDTH = 0.3
 """Difference of log albedo above which the Cauchy loss treats a pair of Gaussians as lying across a texture edge."""
@@ -139,7 +139,7 @@ ROUGHNESS_MIN = 0.1
 """Smallest roughness that the fit can return."""
 
 NEIGHBOURS = 6
-"""Number of nearest Gaussians whose materials are compared with those of each Gaussian."""
+"""Number of nearest Gaussians whose albedo and roughness the smoothness terms compare with those of each Gaussian."""
 
 ALBEDO_RATE = 0.01
 
@@ -157,7 +157,7 @@ ROUGHNESS_SMOOTHNESS = 0.05
 """Weight of squared differences of roughness between neighbouring Gaussians."""
 
 SSIM_FRACTION = 0.2
-"""Fraction of SSIM in the image loss, as in training."""
+"""Fraction of the SSIM term in the image loss, as in training; the rest is L1."""
 
 _ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
 _LOGIT_MAX = 7.0
@@ -264,7 +264,10 @@ class MaterialFit:
         return loss, self._lit.differentiate()
 
     def _update(self, gradient: Materials) -> None:
-        """Adds the smoothness gradients to ``gradient``, and makes an Adam step in logits and logarithms."""
+        """Adds the smoothness gradients to ``gradient``, and makes an Adam step of all materials and the environment.
+
+        Albedo and roughness are optimised as logits, radiance of the environment as logarithm.
+        """
         now = self.materials
         share = (now.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE
         changes = np.log(now.albedo) - self._first
@@ -284,7 +287,7 @@ class MaterialFit:
 
 
 def materials_of(state: Mapping[str, Doubles], normals: Doubles) -> Materials:
-    """Converts optimised logits and logarithms to materials with fixed normals."""
+    """Converts logits of albedo and roughness and log radiance of the environment to `Materials` with ``normals``."""
     roughness = ROUGHNESS_MIN + _ROUGHNESS_RANGE * _sigmoid(state["roughness"])
     return Materials(_sigmoid(state["albedo"]), roughness, normals, np.exp(state["sky"]))
 
@@ -305,7 +308,7 @@ def white_radiance(white: Irradiance, environment: Doubles) -> Doubles:
 
 
 def sees_environment(white: Irradiance) -> bool:
-    """Returns whether the Gaussians see enough of the environment to estimate it."""
+    """Returns whether the median Gaussian sees at least `ENVIRONMENT_VISIBLE_MIN` of the environment."""
     return float(np.median(white.environment.sum(axis=1))) > ENVIRONMENT_VISIBLE_MIN
 
 
@@ -426,7 +429,7 @@ class SimilarPairs:
         return term, self._scattered(similarity * difference / (1.0 + ratio) * share, len(log_albedo))
 
     def square_term(self, values: Doubles) -> tuple[float, Doubles]:
-        """Returns half the mean squared difference of ``values`` within pairs, and its gradient, shape (N,)."""
+        """Returns half the mean squared difference of N values within pairs, and its gradient, shape (N,)."""
         difference = values[self.first] - values[self.second]
         share = 1.0 / max(len(self.first), 1)
         return 0.5 * share * float(difference @ difference), self._scattered(difference[:, None] * share, len(values))[

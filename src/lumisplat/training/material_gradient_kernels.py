@@ -22,7 +22,7 @@ def differentiate(
     by_radiance: wp.array[wp.vec3],
     gradient_out: MaterialGradient,
 ):
-    """Computes the gradient with respect to albedo, roughness and normal. One item is one Gaussian.
+    """Computes the gradient with respect to albedo, roughness and normal. One thread per Gaussian.
 
     A view direction below the horizon of the Gaussian's plane is mirrored to above it. The derivative with respect to
     the normal treats the mirrored direction as constant.

@@ -22,7 +22,7 @@ SH_CONSTANT = wp.constant(wp.float32(SH_C0))
 
 @wp.func
 def widened_alpha(roughness: float, spread: float) -> float:
-    """Returns the microfacet alpha of a roughness, widened to the spacing of the incident directions."""
+    """Returns the GGX alpha of a roughness, widened so that highlights span neighbouring incident directions."""
     alpha = roughness * roughness
     return wp.sqrt(alpha * alpha + spread)
 
@@ -44,7 +44,7 @@ def shade(
     radiance_out: wp.array[wp.vec3],
     sh_out: wp.array[wp.vec3],
 ):
-    """Computes the radiance towards the eye, and its display value as SH of degree 0. One item is one Gaussian."""
+    """Computes the radiance towards the eye, and its display value as SH of degree 0. One thread per Gaussian."""
     i = start + wp.tid()
     normal = materials.normals[i]
     roughness = materials.roughness[i]
@@ -78,7 +78,7 @@ def decode_gradients(
     radiance: wp.array[wp.vec3],
     by_radiance_out: wp.array[wp.vec3],
 ):
-    """Computes the gradient with respect to linear radiance. One item is one Gaussian.
+    """Computes the gradient of a Gaussian's linear radiance from that of its display colour. One thread per Gaussian.
 
     The display clips radiance above white, so the gradient of such radiance is dropped unless it darkens.
     """
@@ -101,7 +101,7 @@ def differentiate_environment(
     by_radiance: wp.array[wp.vec3],
     by_environment_out: wp.array2d[wp.vec3],
 ):
-    """Computes a chunk's gradient with respect to the environment's radiance. One item is one chunk of Gaussians."""
+    """Sums the gradient with respect to the environment's radiance over a chunk of Gaussians. One thread per chunk."""
     chunk = start + wp.tid()
     directions = light.directions.shape[0]
     for k in range(directions):

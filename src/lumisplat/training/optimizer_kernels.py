@@ -32,13 +32,13 @@ def sigmoid(x: float) -> float:
 
 @wp.func
 def step_of(rates: StepRates, rate: float, first: float, second: float) -> float:
-    """Returns the Adam step of a parameter: its change."""
+    """Returns the change of a parameter in one Adam step, from its first and second moment."""
     return rate * first * rates.first_scale / (wp.sqrt(second * rates.second_scale) + EPSILON)
 
 
 @wp.func
 def step3_of(rates: StepRates, rate: float, first: wp.vec3, second: wp.vec3) -> wp.vec3:
-    """Returns the Adam step of a parameter with three components."""
+    """Returns the change of a parameter with three components in one Adam step, from its first and second moment."""
     return wp.vec3(
         step_of(rates, rate, first[0], second[0]),
         step_of(rates, rate, first[1], second[1]),
@@ -54,7 +54,7 @@ def wxyz_of(rotation: wp.quat) -> wp.vec4:
 
 @wp.kernel
 def activate(start: int, parameters: SplatParameters, gaussians_out: GaussianData):
-    """Computes rotation, scale and opacity from the parameters. One item is one Gaussian.
+    """Computes rotation, scale and opacity of each Gaussian from its trained parameters. One thread per Gaussian.
 
     Means and SH coefficients need no conversion: the rendered Gaussians share the parameters' arrays.
     """
@@ -76,7 +76,7 @@ def update(
     first_inout: SplatParameters,
     second_inout: SplatParameters,
 ):
-    """Converts gradients from Gaussians to parameters, and makes an Adam step. One item is one Gaussian."""
+    """Converts the gradient of Gaussians to that of parameters, and makes an Adam step. One thread per Gaussian."""
     i = start + wp.tid()
 
     by_mean = gradient.means[i]
@@ -133,7 +133,7 @@ def standard_normal(key: wp.uint32) -> wp.vec3:
 
 @wp.kernel
 def explore(start: int, noise: NoiseData, gaussians: GaussianData, parameters_inout: SplatParameters):
-    """Adds noise with the Gaussian's covariance to its mean. One item is one Gaussian.
+    """Moves each mean by MCMC noise, normal with the Gaussian's covariance. One thread per Gaussian.
 
     The noise grows with transparency: opaque Gaussians stay nearly in place.
     """
@@ -153,7 +153,7 @@ def add_screen_gradients(
     gradients: wp.array[SplatGradient],
     record_inout: SplatRecord,
 ):
-    """Adds the frame's screen-space position gradient to the densification statistics. One item is one Gaussian."""
+    """Adds the frame's screen-space position gradient to the densification statistics. One thread per Gaussian."""
     i = start + wp.tid()
     if rects[i].x0 < rects[i].x1:
         screen_gradient = gradients[i].center_absolute

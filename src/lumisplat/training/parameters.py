@@ -33,7 +33,7 @@ _ELEMENTS: dict[str, Any] = {
     "sh": wp.vec3,
 }
 NAMES = tuple(_ELEMENTS)
-"""Names of the parameter arrays."""
+"""Names of the trained arrays, such as ``means`` and ``logits``, the keys of `TrainedParameters`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ class TrainedParameters:
 
     @classmethod
     def new(cls, values: dict[str, FloatArray]) -> TrainedParameters:
-        """Returns parameters with zero moments."""
+        """Returns parameters with the given values, and Adam moments of zero."""
         arrays = {name: np.ascontiguousarray(values[name], np.float32) for name in NAMES}
         return cls(arrays, _zeros_like(arrays), _zeros_like(arrays))
 
@@ -69,11 +69,11 @@ class TrainedParameters:
         return np.exp(self.values["log_scales"].astype(np.float64))
 
     def rows(self, rows: Rows) -> TrainedParameters:
-        """Returns the selected Gaussians with their moments."""
+        """Returns the Gaussians at the given rows (indices or mask), with their Adam moments."""
         return TrainedParameters(*({name: part[name][rows] for name in NAMES} for part in self._parts))
 
     def copies(self, rows: Rows) -> TrainedParameters:
-        """Returns copies of the selected Gaussians with zero moments."""
+        """Returns copies of the Gaussians at the given rows (indices or mask), with Adam moments of zero."""
         return TrainedParameters.new({name: self.values[name][rows] for name in NAMES})
 
     def concatenated(self, other: TrainedParameters) -> TrainedParameters:
@@ -82,7 +82,7 @@ class TrainedParameters:
         return TrainedParameters(*({name: np.concatenate([a[name], b[name]]) for name in NAMES} for a, b in pairs))
 
     def zero_moments(self, rows: Rows) -> None:
-        """Zeroes the Adam moments of the selected Gaussians."""
+        """Zeroes the Adam moments of the Gaussians at the given rows (indices or mask)."""
         for part in (self.first, self.second):
             for name in NAMES:
                 part[name][rows] = 0.0
@@ -116,7 +116,7 @@ class DeviceParameters:
         self.values, self.first, self.second = SplatParameters(), SplatParameters(), SplatParameters()
 
     def upload(self, parameters: TrainedParameters) -> None:
-        """Copies parameters and moments from the host."""
+        """Copies a training's parameters and their Adam moments from the host to the device."""
         for kind in ("values", "first", "second"):
             struct, arrays = getattr(self, kind), getattr(parameters, kind)
             struct.sh_count = arrays["sh"].shape[1]
@@ -125,7 +125,7 @@ class DeviceParameters:
                 setattr(struct, name, self._buffers.upload(f"parameters.{kind}.{name}", element, rows))
 
     def download(self) -> TrainedParameters:
-        """Returns parameters and moments as host arrays."""
+        """Returns the device's parameters and their Adam moments as host arrays."""
         return TrainedParameters(*(self._downloaded(kind) for kind in (self.values, self.first, self.second)))
 
     @staticmethod
@@ -140,13 +140,12 @@ def _zeros_like(arrays: dict[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 POSITIONS_MIN = 3
-"""Number of camera positions below which a warning is logged.
+"""Smallest number of camera positions without a warning.
 
 Two positions do not constrain the depth of surfaces that only one camera sees."""
 
 POINTS_FRACTION_MIN = 0.05
-"""Number of 3D points that come with the images, as a fraction of the initial number of Gaussians, below which random
-points are added.
+"""Number of the images' 3D points, relative to ``TrainConfig.initial``, below which random points are added.
 
 MCMC adds a twentieth of the current number in each densification and cannot grow from nearly nothing."""
 

@@ -50,7 +50,7 @@ class RunFolder:
 
     @classmethod
     def of(cls, output: Path) -> RunFolder:
-        """Returns the training folder of a capture: ``fox.training`` for ``fox.ply``."""
+        """Returns the training folder beside a capture: ``fox.training`` for ``fox.ply``."""
         return cls(output.with_suffix(".training"))
 
     @property
@@ -254,12 +254,12 @@ _TRAINING, _HELD_OUT, _LINES = (70, 120, 200), (210, 120, 30), (225, 225, 225)
 
 @dataclass(slots=True)
 class Curve:
-    """PSNR over the iterations of a training: on the training images, and on the held-out images."""
+    """PSNR curve of a training: training images averaged over `CURVE_EVERY` iterations, and held-out evaluations."""
 
     steps: list[int] = field(default_factory=list[int])
-    """Last iteration of each point of the training curve."""
+    """Iteration at which each point of the training curve was added."""
     squared: list[float] = field(default_factory=list[float])
-    """Mean squared error over the iterations that each point of the training curve averages."""
+    """Mean squared error of each point of the training curve, over the iterations since the point before."""
     measured: list[tuple[int, float]] = field(default_factory=list[tuple[int, float]])
     """Pairs of iteration and held-out PSNR in dB, one for each evaluation."""
     _sum: float = 0.0
@@ -307,7 +307,10 @@ class Curve:
 
     @property
     def psnr(self) -> float:
-        """PSNR on the training images over the iterations since the last point, else of the last point, dB."""
+        """PSNR on the training images, dB, over the iterations since the last point of the curve.
+
+        Directly after a point was added, it is that point's PSNR; before the first iteration it is 0.
+        """
         if self._count:
             return decibels(self._sum / self._count)
         return decibels(self.squared[-1]) if self.squared else 0.0
@@ -334,7 +337,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class _Axes:
-    """Axes of the plot: iterations to the right, PSNR upwards."""
+    """Maps iteration and PSNR to pixels of the plot: iterations grow to the right, PSNR upwards."""
 
     last: float
     """Largest iteration number, at the right end."""
@@ -387,14 +390,14 @@ RECORD = ("motion", "turns", "frames")
 """Names of the arrays of a `SplatRecord`, the densification statistics."""
 _PER_IMAGE = "photographs."
 _MAY_CHANGE = ("iterations", "prune_below")
-"""Settings that may differ from the checkpoint's when a training resumes; the new values count from then on."""
+"""Settings that may have other values when a training resumes; all others must equal those of the checkpoint."""
 START_AGAIN = "remove it, or start again (--overwrite, overwrite=True)"
 _KIND = f"a training checkpoint: {START_AGAIN}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """Complete state of a training, without its settings and images."""
+    """State of a training from which it resumes, without its settings and images."""
 
     iteration: int
     """Number of iterations completed."""
@@ -482,7 +485,7 @@ def read_checkpoint(path: Path, config: TrainConfig, images: str) -> tuple[Check
 
 
 def check_images(path: Path, checkpoint: Checkpoint, now: Checkpoint) -> None:
-    """Raises a FormatError unless the exposures and poses of two checkpoints have the same names and shapes."""
+    """Raises a FormatError unless a checkpoint and the state ``now`` have exposures and poses of equal shapes."""
     shapes = [{name: array.shape for name, array in state.per_image.items()} for state in (checkpoint, now)]
     if shapes[0] != shapes[1]:
         raise _damaged(path)
@@ -515,7 +518,7 @@ def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, images: 
 
 
 def _check_steps(path: Path, done: int, before: int, now: int) -> None:
-    """Raises a FormatError if a checkpoint has more than the ``now`` requested iterations.
+    """Raises a FormatError if a checkpoint has completed more iterations (``done``) than are requested ``now``.
 
     Warns if ``now`` differs from ``before``, the number requested when the checkpoint was written.
     """

@@ -19,7 +19,7 @@ from lumisplat.device.training import SmoothnessMaps, SplatRecord, SurfaceMaps, 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
 SURFACE_VARIANCE_MIN = 1e-6
-"""Variance of depth along a ray, in squared scene extents, below which the depth term is constant. Gao et al. 2024,
+"""Variance of depth along a ray, in squared scene extents, up to which the depth term stays constant. Gao et al. 2024,
 code."""
 
 SURFACE_SPREAD = 0.1
@@ -32,7 +32,7 @@ OPAQUE = wp.constant(wp.float32(SURFACE_ALPHA))
 VARIANCE_MIN = wp.constant(wp.float32(SURFACE_VARIANCE_MIN))
 SPREAD = wp.constant(wp.float32(SURFACE_SPREAD))
 AREA_MIN = wp.constant(wp.float32(1e-30))
-"""Length of a cross product below which its direction is undefined."""
+"""Length of the cross product of two tangents below which the depth map has no normal there."""
 
 
 @wp.func
@@ -67,7 +67,7 @@ def find_features(
     gaussians: GaussianData,
     features_out: wp.array2d[float],
 ):
-    """Writes the Gaussian's depth, squared depth and normal. One item is one Gaussian."""
+    """Writes depth, squared depth and normal of a Gaussian, which the surface terms blend. One thread per Gaussian."""
     i = start + wp.tid()
     depth = depth_of(camera[0], terms, gaussians.means[i])
     normal = normal_of(camera[0], gaussians, i)
@@ -96,13 +96,13 @@ def surface_at(
 
 @wp.func
 def is_inner(view: CameraData, x: int, y: int) -> bool:
-    """Returns whether a pixel has neighbours on all four sides."""
+    """Returns whether a pixel is not at the border of the image, so that it has four neighbours."""
     return x >= 1 and y >= 1 and x < view.width - 1 and y < view.height - 1
 
 
 @wp.func
 def normal_at(sums: wp.array2d[float], i: int) -> wp.vec3:
-    """Returns the normal among the five features of pixel or Gaussian ``i``."""
+    """Returns the normal from columns 2 to 4 of row ``i``; the columns before hold depth and squared depth."""
     return wp.vec3(sums[i, 2], sums[i, 3], sums[i, 4])
 
 
@@ -127,10 +127,11 @@ def compare_surfaces(
     maps_out: SurfaceMaps,
     by_sums_out: wp.array2d[float],
 ):
-    """Evaluates the normal and the depth term, and their gradients, in a pixel. One item is one pixel.
+    """Evaluates the normal and the depth term of the loss and their gradients. One thread per pixel.
 
-    Gradients are with respect to the pixel's blended features, its alpha, and the two tangents of the depth-map
-    surface: differences between the points of the right and left, and of the lower and upper neighbour.
+    Gradients are with respect to the pixel's blended depth, squared depth and normal, its alpha, and the two tangents
+    of the depth-map surface: differences between the points of the right and left, and of the lower and upper
+    neighbour.
     """
     i = start + wp.tid()
     view = camera[0]
@@ -192,7 +193,7 @@ def gather_surfaces(
     by_sums_inout: wp.array2d[float],
     by_alpha_inout: wp.array[float],
 ):
-    """Adds up a pixel's depth gradient from the tangent gradients of its four neighbours. One item is one pixel."""
+    """Adds to a pixel's depth gradient what the tangents of its four neighbours contribute. One thread per pixel."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -223,7 +224,7 @@ def add_by_features(
     by_features: wp.array2d[float],
     gradient_inout: GaussianGradient,
 ):
-    """Adds the gradient of mean and rotation that follows from that of the features. One item is one Gaussian."""
+    """Adds the gradient of mean and rotation, from that of depth, squared depth and normal. One thread per Gaussian."""
     i = start + wp.tid()
     view = camera[0]
     depth = depth_of(view, terms, gaussians.means[i])
@@ -248,7 +249,7 @@ def add_normal_gradients(
     by_features: wp.array2d[float],
     record_inout: SplatRecord,
 ):
-    """Adds the magnitude of the gradient with respect to rotating the normal, if drawn. One item is one Gaussian."""
+    """Adds a drawn Gaussian's loss gradient for rotating its normal to its statistics. One thread per Gaussian."""
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_normal = normal_at(by_features, i)
@@ -260,7 +261,7 @@ def add_normal_gradients(
 def flatten(
     start: int, weight: float, rects: wp.array[TileRect], gaussians: GaussianData, gradient_inout: GaussianGradient
 ):
-    """Adds ``weight`` to the gradient of the smallest scale, if the Gaussian was drawn. One item is one Gaussian."""
+    """Adds ``weight`` to the gradient of a Gaussian's smallest scale, if it was drawn. One thread per Gaussian."""
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_scale = gradient_inout.scales[i]
@@ -312,7 +313,7 @@ def compare_smoothness(
     sums: wp.array2d[float],
     maps_out: SmoothnessMaps,
 ):
-    """Evaluates the smoothness term in a pixel. One item is one pixel.
+    """Evaluates the smoothness term of the loss, which compares normals of neighbouring pixels. One thread per pixel.
 
     Gradients are with respect to the differences of normals across the columns and across the rows.
     """
@@ -348,7 +349,7 @@ def compare_smoothness(
 
 @wp.kernel
 def gather_smoothness(start: int, camera: wp.array[CameraData], maps: SmoothnessMaps, by_sums_inout: wp.array2d[float]):
-    """Adds up a pixel's normal gradient from those of its neighbours' differences. One item is one pixel."""
+    """Adds to a pixel's normal gradient what the smoothness terms around it contribute. One thread per pixel."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width

@@ -55,7 +55,7 @@ PROGRESS_EVERY_S = 0.5
 EVALUATE_AT = (100, 200, 500)
 """Early iterations after which the held-out images are evaluated, because wrong poses show early."""
 EVALUATE_EVERY = 1000
-"""Iterations between two later evaluations of the held-out images."""
+"""Iterations between two evaluations of the held-out images, after the early ones in `EVALUATE_AT`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +159,7 @@ def train(
 
 
 class _Run:
-    """State of one call of ``train``."""
+    """One call of `train`: the trainer, the training folder, the PSNR curve and the held-out images."""
 
     def __init__(
         self,

@@ -218,7 +218,7 @@ class Trainer:
 
     @property
     def _corrections(self) -> list[Exposures | Poses]:
-        """Exposures and poses of the images, if they are optimised."""
+        """Optimised exposures and poses of the images: none, one or both, in this order."""
         return [correction for correction in (self.exposures, self.poses) if correction is not None]
 
     def _compare(self, step_input: StepInput, pixels: PixelData, target: TargetImage) -> tuple[Loss, PixelGradient]:
@@ -276,7 +276,7 @@ class Trainer:
 
     @property
     def _degree(self) -> int:
-        """Current SH degree, raised in steps up to ``config.sh_degree``."""
+        """SH degree that the current iteration renders, which grows up to ``config.sh_degree`` during training."""
         return min(self.config.sh_degree, 12 * self.iteration // self.config.iterations)
 
     @property
@@ -358,7 +358,7 @@ class Trainer:
         return parameters
 
     def _upload(self, parameters: TrainedParameters) -> None:
-        """Uploads parameters and zeroes the densification statistics."""
+        """Uploads parameters with their Adam moments, and zeroes the densification statistics."""
         self._device_splats.upload(parameters)
         self._count = parameters.count
         self._backend.bind(parameters.gaussians(self.config), self._device_splats.values)

@@ -50,10 +50,10 @@ class TargetPixels:
         return np.asarray(_resized(layer * shares, size) / np.maximum(total, WEIGHT_MIN), np.float32)
 
     def over(self, change: npt.ArrayLike) -> TargetPixels:
-        """Returns the pixels composited over another background.
+        """Returns the pixels composited over another background; opaque pixels stay as they are.
 
         Args:
-            change: New background minus the old one, shape (3,).
+            change: New background minus the old one, display-referred, shape (3,).
         """
         if self.alpha is None:
             return self

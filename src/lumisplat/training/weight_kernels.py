@@ -1,4 +1,4 @@
-"""Finds the largest blending weight of each Gaussian, by blending each tile front to back without writing colours.
+"""Finds the largest blending weight of each Gaussian in a frame, by compositing each tile without writing colours.
 
 The kernels run once per training, so CPUs and CUDA share one implementation.
 """
@@ -32,7 +32,7 @@ def find_largest_weights(
     meshes: MeshPixels,
     pairs_out: wp.array[float],
 ):
-    """Writes the largest blending weight, within a tile, of each of the tile's splats. One item is one tile."""
+    """Writes the largest blending weight that each splat of a tile has in the tile's pixels. One thread per tile."""
     arrays = WeightArrays()
     arrays.rects = rects
     arrays.pair_starts = pair_starts
@@ -54,7 +54,7 @@ def find_largest_ray_weights(
     limits: wp.array[float],
     pairs_out: wp.array[float],
 ):
-    """Writes the largest blending weight along the rays of a tile, of each of its splats. One item is one tile."""
+    """Writes the largest blending weight of each splat of a tile on the tile's camera rays. One thread per tile."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -67,7 +67,7 @@ def find_largest_ray_weights(
 
 @wp.kernel
 def reduce_largest(start: int, pair_starts: wp.array[int], pairs: wp.array[float], largest_inout: wp.array[float]):
-    """Raises the Gaussian's largest weight to the largest one in its tiles. One item is one Gaussian."""
+    """Raises a Gaussian's largest blending weight to that of the tiles which list it. One thread per Gaussian."""
     i = start + wp.tid()
     largest = largest_inout[i]
     for k in range(pair_starts[i], pair_starts[i + 1]):
