@@ -23,47 +23,35 @@ if TYPE_CHECKING:
 Matrix = npt.NDArray[np.float64]
 
 _NODE = "/selected {}"
-"""Name of a gizmo's node in viser's scene. Each gizmo gets a new number, because pages keep the rotation of a removed
-node under its name.
+"""Scene node of a gizmo. Each gizmo gets a new number, because pages keep the rotation of a removed node by its name.
 """
 _SIZE = 0.09
-"""Smallest length of the gizmo's axes, as a fraction of the scene size; for large objects they reach beyond the
-object."""
+"""Length of the gizmo's axes as a fraction of the scene size; larger objects get longer axes."""
 
 
 @dataclass(frozen=True)
 class GizmoPose:
-    """Position and rotation of the gizmo of a scene entry, and whether it can rotate the entry."""
+    """Pose of the gizmo for an object, and the kinds of change that the gizmo offers."""
 
     world_from_gizmo: Matrix
-    """Transform from gizmo axes to world space without scale, shape (4, 4), scene units."""
+    """Rotation and translation, shape (4, 4)."""
     can_rotate: bool = True
 
 
 @dataclass(frozen=True)
 class Drag:
-    """What a gizmo drag started from: the scene entry, the gizmo's transform and the animation time."""
+    """State of a scene entry at the start of a drag."""
 
     entry: ls.io.SceneEntry
-    """Scene entry as it was before the drag."""
+    """Entry as it was when the drag began."""
     start: Matrix
-    """Transform ``world_from_gizmo`` before the drag, shape (4, 4)."""
+    """``world_from_gizmo`` when the drag began."""
     time: float = 0.0
-    """Animation time at which the entry is dragged, seconds."""
+    """Animation time, seconds."""
 
 
 def gizmo_pose(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> GizmoPose | None:
-    """Returns where to show the gizmo of an entry: a light's position, else the centre of the bounding box.
-
-    Args:
-        entry: The selected entry.
-        box: Bounding box of the entry, file coordinates; None for lights and empty entries.
-        extent: Centre and size of the scene; the gizmo of a sun lies on the dome around it.
-        time: Animation time, seconds.
-
-    Returns:
-        The pose; None for environments and empty entries, which have no gizmo.
-    """
+    """Returns the gizmo's pose: at an object's centre or a light's position. None for environments or empty entries."""
     if entry.kind in ("lights", "environment"):
         return _light_gizmo_pose(entry.lights[0], extent)
     pose = pose_of(entry, time)
@@ -94,13 +82,13 @@ def _light_gizmo_pose(light: Any, extent: Extent) -> GizmoPose | None:
 def with_moved_entry(
     document: ls.io.SceneDocument, entry: ls.io.SceneEntry, move: Matrix, time: float
 ) -> ls.io.SceneDocument:
-    """Returns the document with a capture, mesh or actor moved so that ``move`` applies to it in world space.
+    """Returns the document with a capture, mesh or actor transformed in world space.
 
     Args:
         document: The scene document.
         entry: Entry to move.
         move: World-space transform to apply, shape (4, 4).
-        time: Animation time, seconds, at which an animated actor is moved by exactly ``move``.
+        time: Animation time at which the transform applies, seconds.
 
     Raises:
         SceneError: The entry has been removed.
@@ -112,15 +100,13 @@ def with_moved_entry(
 
 
 def with_dragged_entry(document: ls.io.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.io.SceneDocument:
-    """Returns the document with an entry moved and rotated as the gizmo was since the drag began.
-
-    An animated actor is moved with its whole motion. A sun is aimed from the gizmo at the centre of the scene.
+    """Returns the document with an entry moved like its gizmo. An animated actor is moved with its whole motion.
 
     Args:
         document: Current document, which may have changed since the drag began.
         drag: State when the drag began.
         now: Current ``world_from_gizmo``, shape (4, 4).
-        extent: Centre and size of the scene.
+        extent: Scene extent.
 
     Raises:
         FormatError: The new position is invalid for the entry.
@@ -149,7 +135,7 @@ def _listed(vector: Any) -> list[float]:
 
 
 def _rotation_to(direction: npt.ArrayLike) -> Matrix:
-    """Returns a 4 x 4 rotation whose z axis points along the given direction; the roll about it is arbitrary."""
+    """Returns a rotation whose z axis is the given direction."""
     z = np.asarray(direction, np.float64) / np.linalg.norm(np.asarray(direction))
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
     x /= np.linalg.norm(x)
@@ -157,7 +143,7 @@ def _rotation_to(direction: npt.ArrayLike) -> Matrix:
 
 
 def _rotation_of_edges(edge_u: npt.ArrayLike, edge_v: npt.ArrayLike) -> Matrix:
-    """Returns a 4 x 4 rotation with x along the first edge of a rectangle light, z along its emission direction."""
+    """Returns a rotation with x along the first edge of a rectangle light and z along its emission direction."""
     x = np.asarray(edge_u, np.float64)
     z = np.cross(x, np.asarray(edge_v, np.float64))
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
@@ -176,9 +162,9 @@ class Gizmo:
         self._api, self._session = scene_api, session
         self._handle: viser.TransformControlsHandle | None = None
         self._handles = 0
-        """Number of gizmos created so far, which numbers their scene nodes."""
+        """Number of gizmos created so far."""
         self._attached: tuple[int, GizmoPose] | None = None
-        """Id of the entry that the gizmo is shown for, and the gizmo's pose; None while no gizmo is shown."""
+        """Id of the entry that has the gizmo, and the gizmo's pose; None without a gizmo."""
         self._drag: Drag | None = None
         self._dragged_at = 0.0
         session.on_change(self.follow)
@@ -189,7 +175,7 @@ class Gizmo:
         return _NODE.format(self._handles)
 
     def follow(self) -> None:
-        """Shows the gizmo at the selected entry, or removes it; does nothing while that entry is being dragged."""
+        """Moves the gizmo to the selected entry, unless a drag of that entry is in progress."""
         with self._session.changed:
             is_dragged = self._drag is not None and self._drag.entry.id == self._session.selected
             if is_dragged and time.monotonic() - self._dragged_at < DRAG_ENDS_S:
@@ -238,13 +224,13 @@ class Gizmo:
             self._end(pose)
 
     def _begin(self) -> None:
-        """Starts a drag of the selected entry, as an edit that is undone separately from earlier drags."""
+        """Starts a drag."""
         with self._session.changed:
             self._session.end_merge()
             self._drag, self._dragged_at = self._new_drag(), time.monotonic()
 
     def _move(self, pose: Matrix) -> None:
-        """Moves the dragged entry to a gizmo transform that a page reports, shape (4, 4), in page units."""
+        """Moves the entry to the gizmo of a page; ``pose`` is ``world_from_gizmo`` in page units."""
         with self._session.changed:
             drag = self._drag or self._new_drag()
             if drag is None or all(entry.id != drag.entry.id for entry in self._session.state.document.entries):
@@ -270,7 +256,7 @@ class Gizmo:
             self.follow()
 
     def _axis_length(self, entry: ls.io.SceneEntry) -> float:
-        """Returns 0.6 times the longest side of an entry's bounding box, scene units; 0 for lights."""
+        """Returns the length of the gizmo's axes, scene units: they extend beyond the bounding box of an entry."""
         size = self._session.boxes.size(entry, self._session.options.time)
         return 0.0 if size is None else 0.6 * float(np.max(size))
 

@@ -20,18 +20,18 @@ _SORTED = "Projection unscented works only with strategy sorted."
 _ISO = "Projection unscented works only with surface iso."
 _UNSCENTED = "Unscented works only with the pipelines raster and hybrid, strategy sorted and surface iso."
 _BOUNCE_VIEWS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy")
-"""AOV views that only pipelines that trace indirect light can render."""
+"""Views that only pipelines with indirect light have."""
 _REALTIME_VIEWS = ("motion", "history", "probes", "cache", "cache_cells")
-"""AOV views of data that the realtime pipeline carries from frame to frame, such as motion vectors and probes."""
+"""Views of data that realtime frames reuse in later frames."""
 _LIT_VIEWS = ("shadow", "emission", *_BOUNCE_VIEWS, *_REALTIME_VIEWS)
 
 
 def available_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
-    """Returns the names of views that a page can show: ``color``, and the AOVs in `Frame.VIEWS` that frames contain.
+    """Returns the views that a page can show: ``color`` and the entries of `lumisplat.Frame.VIEWS` that frames have.
 
     Args:
-        config: Render settings; they decide which AOVs a frame has.
-        lit: True if lights affect frames; False if captures are shown as captured.
+        config: Render settings.
+        lit: True if frames are lit.
     """
     lacking: set[str] = set()
     if not lit:
@@ -46,22 +46,19 @@ def available_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
 
 
 def unused_settings(config: ls.RenderConfig, *, lit: bool) -> dict[str, str]:
-    """Returns the reason for each render setting, or group of settings, that has no effect or cannot be changed now.
+    """Returns the settings, and groups of settings, that do not affect frames, each with the reason.
 
-    Keys are names such as ``raster.strategy``. A reason says which other setting to change first.
+    A reason names the change that would give the setting an effect.
 
     Args:
         config: Render settings.
-        lit: True if lights affect frames; False if captures are shown as captured.
+        lit: True if frames are lit.
     """
     return config.unused_settings(lit=lit) | _excluded(config)
 
 
 def _excluded(config: ls.RenderConfig) -> dict[str, str]:
-    """Returns the ``raster`` settings that the current projection, strategy or surface locks, each with the reason.
-
-    The unscented projection excludes sorted rasterisation and iso-surfaces, and each of these excludes it.
-    """
+    """Returns settings that cannot change while other settings keep their values, each with the reason."""
     raster, excluded = config.raster, dict[str, str]()
     is_sorted, is_iso = (
         raster.strategy is ls.config.RasterStrategy.SORTED,
@@ -77,30 +74,30 @@ def _excluded(config: ls.RenderConfig) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class State:
-    """Snapshot that undo restores: the scene document, the render settings and the exposure."""
+    """Everything that undo restores: the document, the render settings and the exposure."""
 
     document: ls.io.SceneDocument = field(default_factory=lambda: ls.io.SceneDocument.of(ls.Scene()))
     config: ls.RenderConfig = field(default_factory=ls.RenderConfig)
     exposure: float = 0.0
-    """Exposure of lit frames, in stops; +1 doubles the brightness."""
+    """Exposure of lit frames, in stops."""
 
 
 VIEWS = ("color", *ls.Frame.VIEWS)
-"""All names that option *view* accepts: ``color`` for the rendered image, and the AOVs in `lumisplat.Frame.VIEWS`."""
+"""Views of a frame that a page may show."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """View options, shared by all pages, such as image height and grid; not undone, and not saved in scene files."""
+    """View options of all pages; undo does not restore them, and scene files do not contain them."""
 
     height: int = 720
-    """Image height in pixels once the camera has stopped moving; frames during motion may be smaller."""
+    """Image height in pixels while the view is still."""
     budget_ms: float = 40.0
-    """Time budget of a frame while the camera or the scene changes, milliseconds."""
+    """Time budget of a frame while the view moves, milliseconds."""
     view: str = "color"
     """Image that pages show: ``color`` or one of `lumisplat.Frame.VIEWS`."""
     time: float = 0.0
-    """Animation time at which the scene is shown, seconds."""
+    """Animation time, seconds."""
     outlines: bool = True
     """True if pages outline the lights and the selected object."""
     grid: bool = False
@@ -108,10 +105,10 @@ class Options:
     insets: bool = False
     """True if pages show small images of depth and normals in a corner."""
     loading: tuple[str, ...] = ()
-    """Options such as ``--lod 1`` that the scene's files were loaded with; the files panel repeats them in commands."""
+    """Command-line options that were given when the files were loaded, to repeat them in printed commands."""
     split: float | None = None
-    """Option *compare*: fraction of the image width, from the left, that shows the marked earlier state, 0 to 1; None
-    shows no comparison."""
+    """Fraction of the image width, from the left, in which *compare* shows the earlier state, 0 to 1; None disables
+    it."""
 
     def __post_init__(self) -> None:
         for name, value, (low, high) in (("height", self.height, HEIGHTS), ("budget", self.budget_ms, BUDGETS_MS)):
@@ -122,7 +119,7 @@ class Options:
 
 
 class Session:
-    """State that all pages of a viewer share: scene, settings, view options, undo history and selection. Thread-safe.
+    """The state that all pages share, with undo and selection. All methods are thread-safe.
 
     Args:
         options: View options at the start.
@@ -130,32 +127,30 @@ class Session:
 
     def __init__(self, options: Options) -> None:
         self.changed = threading.Condition(threading.RLock())
-        """Condition that is notified after each change of scene, settings or view options. Every change holds its
-        lock."""
+        """Condition that is notified when a frame may be out of date. Its lock is held during every change."""
         self.state = self.opened = State()
-        """Current document, settings and exposure. ``opened`` is the state that option *compare* shows on the left:
-        the loaded state, or the state when *mark* was last pressed."""
+        """The current state. ``opened`` is the state on the left side of the comparison: the first state, or the one
+        marked last."""
         self.selected: int | None = None
-        """Id of the scene entry that is selected on all pages; None if nothing is selected."""
+        """Id of the selected entry; None if nothing is selected."""
         self.locked: frozenset[int] = frozenset()
-        """Ids of locked scene entries: a click in the image does not select them, and they cannot be edited."""
+        """Ids of locked entries, which cannot be selected by a click or edited."""
         self.ground_points: tuple[tuple[float, float, float], ...] | None = None
-        """Up to two world positions clicked so far to define the ground plane; None while clicks select objects
-        instead."""
+        """Ground points clicked so far, world space; None while clicks select objects."""
         self.options = options
         self.revision = 0
-        """Counter that grows with every change of scene, settings or view options that affects frames."""
+        """Number that grows with every change that affects frames."""
         self.extent = Extent()
-        """Centre, size and ground height of the scene as loaded; edits change only the ground height."""
+        """Extent of the scene that was opened."""
         self.boxes = BoxCache()
-        """Bounding box of each scene entry; use it only while holding the lock of `changed`."""
+        """Bounding boxes of entries; read them with the lock held."""
         self._past: list[State] = []
         self._future: list[State] = []
         self._merging: str | None = None
         self._edited_at = 0.0
         self._listeners: list[Callable[[], None]] = []
         self.error_listeners: list[Callable[[str], None]] = []
-        """Functions that `report` calls with each error message, one line of text."""
+        """Functions that receive each error message, as one line."""
 
     def open(self, state: State) -> None:
         """Replaces the state and clears the undo history."""
@@ -181,10 +176,7 @@ class Session:
             self._commit(change(self.state), merge, within)
 
     def _commit(self, state: State, merge: str | None, within: float) -> None:
-        """Makes a state the current one, and pushes the previous one to the undo history unless both edits are merged.
-
-        The caller holds the lock of ``changed``. See `edit` for the arguments.
-        """
+        """Makes a state the current one and updates the undo history. The caller holds the lock."""
         now = time.monotonic()
         if merge is None or merge != self._merging or now - self._edited_at > within:
             self._past = limit_undo_memory([*self._past[-UNDO_MAX:], self.state], state)
@@ -199,11 +191,11 @@ class Session:
         *,
         within: float = MERGE_S,
     ) -> bool:
-        """Edits the document, as an edit that can be undone. If it fails, pages show the error and nothing changes.
+        """Edits the document. A failed edit is reported to the pages and changes nothing.
 
         Args:
             edit: Returns the new document, given the current one. It runs without the lock, so it may read files; if
-                the document changes meanwhile, it runs again.
+                another edit happens meanwhile, it runs again.
             merge: Name of a series of edits that undo as one, as in `edit`.
             within: Longest time between two edits of a series, seconds.
 
@@ -250,7 +242,7 @@ class Session:
         return self._step(self._future, self._past)
 
     def mark(self) -> None:
-        """Stores the current state as the one that option *compare* shows on the left side of the image."""
+        """Makes the current state the left side of the comparison (option *compare*)."""
         with self.changed:
             self.opened = self.state
             self._show(self.state)
@@ -262,12 +254,12 @@ class Session:
 
     @property
     def is_lit(self) -> bool:
-        """True if lights affect frames of the current state; False if captures are shown as captured."""
+        """True if frames of the current state are lit."""
         return self.state.config.is_lit(by_default=self.scene.is_lit_by_default)
 
     @property
     def views(self) -> tuple[str, ...]:
-        """Names of the views that pages can show of the current state: ``color``, and the AOVs that its frames have."""
+        """Views that pages can show of the current state."""
         return available_views(self.state.config, lit=self.is_lit)
 
     @property
@@ -289,13 +281,13 @@ class Session:
             self._show(self.state)
 
     def set_ground_points(self, points: tuple[tuple[float, float, float], ...] | None) -> None:
-        """Sets the points clicked so far to define the ground plane; clicks then add points. None ends this mode."""
+        """Sets the ground points clicked so far and makes clicks add points; None makes clicks select again."""
         with self.changed:
             self.ground_points = points
             self._show(self.state)
 
     def set_options(self, **changes: object) -> None:
-        """Changes the view options that are passed by name, such as ``height=1080``.
+        """Changes view options.
 
         Raises:
             ConfigError: A value is invalid.
@@ -305,11 +297,11 @@ class Session:
             self._show(self.state)
 
     def on_change(self, listener: Callable[[], None]) -> None:
-        """Registers a function that is called after each change of the session, in the thread that made the change."""
+        """Registers a function to call after each change, in the thread that made the change."""
         self._listeners.append(listener)
 
     def report(self, problem: str) -> None:
-        """Passes an error message to all `error_listeners`; names of settings are replaced by their control labels."""
+        """Sends an error message to all listeners, with settings named by their labels on the page."""
         for notify in self.error_listeners:
             notify(page_words(problem))
 
@@ -343,12 +335,12 @@ class Session:
 
 
 def limit_undo_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX) -> list[State]:
-    """Drops the oldest undo states until the arrays that only the undo history holds fit into a memory limit.
+    """Returns the newest undo states whose assets fit into the memory limit.
 
     Args:
         past: Undo states, oldest first.
-        now: The current state; arrays that it also holds are not counted.
-        most: Memory limit, bytes.
+        now: The current state; its assets do not count.
+        most: Limit for the assets that only ``past`` uses, bytes.
     """
     entries = {id(entry) for entry in now.document.entries}
     arrays = {id(array) for entry in now.document.entries for array in _arrays_of(entry)}
@@ -367,7 +359,7 @@ def limit_undo_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX)
 
 
 def _arrays_of(held: object) -> Iterator[npt.NDArray[Any]]:
-    """Yields every NumPy array that an object of the package refers to, directly or through nested objects."""
+    """Yields all NumPy arrays that an object of the package refers to, directly or through other objects."""
     pending, seen = [held], set[int]()
     while pending:
         one = pending.pop()

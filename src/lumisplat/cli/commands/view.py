@@ -17,8 +17,10 @@ from lumisplat.cli.options.command import (
     Flag,
     InsertingCommand,
     LevelsCommand,
+    PipelineName,
     SamplesCommand,
     own_options_first,
+    setting,
 )
 from lumisplat.cli.options.frame import LightGroup, LightOptions
 
@@ -48,6 +50,8 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
     """Limit the time of each frame while the view moves, by reducing detail."""
     up: UpOption = "auto"
     """Set the up direction: y-up, y-down, z-up ..., or a vector."""
+    pipeline: Annotated[PipelineName | None, setting("NAME", "the file's; else hybrid if lit, or raster")] = None
+    """Render by raster, trace, hybrid, path or realtime."""
     light: LightGroup = field(default_factory=LightOptions)
     """Start with these light settings; the page can change them."""
 

@@ -376,7 +376,7 @@ class PipelineCommand(SetCommand):
 class SamplesCommand(PipelineCommand):
     """Base class of commands with ``--samples``."""
 
-    samples: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
+    samples: Annotated[int | Literal["auto"] | None, setting("N", "auto, 1 to 64 by light and pipeline")] = None
     """Average N samples per pixel; with realtime, render N frames before each image."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:

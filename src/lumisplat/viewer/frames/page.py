@@ -1,4 +1,4 @@
-"""One open page of the viewer: its camera, its last frame, and the thread that sends images to its screen."""
+"""State of one open page: camera, level of detail, frames, and the screen that displays them."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DetailStep:
-    """Quality of a moving view's frame: which level of detail of the captures, and at which resolution."""
+    """Level of detail and resolution of a frame."""
 
     level: int
     """Level of detail, an index into `LEVEL_FRACTIONS`."""
     scale: float
-    """Width and height relative to a still view's frame, one of `PIXEL_SCALES`."""
+    """Resolution scale, one of `PIXEL_SCALES`."""
 
 
 _LAST = len(LEVEL_FRACTIONS) - 1
@@ -48,36 +48,31 @@ GAUSSIAN_STEPS = (
     *(DetailStep(level, PIXEL_SCALES[-2]) for level in range(2, _LAST + 1)),
     DetailStep(_LAST, PIXEL_SCALES[-1]),
 )
-"""Detail steps, finest first, for pipelines whose frame time depends mostly on the number of Gaussians. A quarter of
-the Gaussians is three times faster; half the pixels saves only a sixth of the time, so Gaussians are reduced first."""
+"""Detail steps for frames whose time depends on the Gaussian count. A quarter of the Gaussians is three times faster;
+half the pixels saves a sixth of the time."""
 
 PIXEL_STEPS = tuple(DetailStep(0, scale) for scale in PIXEL_SCALES)
-"""Detail steps, finest first, for pipelines that trace bounced light: only the resolution is reduced, because the
-frame time depends on the number of rays."""
+"""Detail steps for frames whose time depends on the ray count, or that reuse earlier frames."""
 
 
 def first_step(count: int) -> int:
-    """Returns the index into `GAUSSIAN_STEPS` for a moving view's first frame, before any frame time is known.
-
-    Args:
-        count: Number of Gaussians in the scene.
-    """
+    """Returns the index into `GAUSSIAN_STEPS` for the first frame of a scene with ``count`` Gaussians."""
     level = next((n for n in range(1, _LAST) if count * LEVEL_FRACTIONS[n] <= MOVING_GAUSSIANS_MAX), _LAST)
     return next(number for number, step in enumerate(GAUSSIAN_STEPS) if step.level == level)
 
 
 class DetailController:
-    """Chooses the detail of a moving view's next frame, so that frame times stay within a budget.
+    """Chooses the detail step of the next frame from the times of earlier frames.
 
     Args:
-        steps: Detail steps from finest to coarsest.
-        first: Index into ``steps`` for the first frame.
+        steps: Steps from finest to coarsest.
+        first: Index of the first step.
     """
 
     def __init__(self, steps: tuple[DetailStep, ...] = GAUSSIAN_STEPS, first: int = 1) -> None:
         self.steps, self._index = steps, first
         self._recent_ms: dict[int, float] = {}
-        """Smoothed frame time of each step that has been used, milliseconds, by index into ``steps``."""
+        """Recent frame time of each step, milliseconds."""
         self._frames_held = 0
 
     @property
@@ -86,12 +81,10 @@ class DetailController:
         return self.steps[self._index]
 
     def record(self, milliseconds: float, budget: float) -> None:
-        """Records the time of a frame and chooses the step of the next one.
-
-        A frame over budget selects a coarser step at once; a finer step follows only after `DETAIL_HOLD_FRAMES` frames.
+        """Records the time of a frame and chooses the next step.
 
         Args:
-            milliseconds: Time of the frame that was rendered with the current step.
+            milliseconds: Time of the frame.
             budget: Time budget of a frame, milliseconds.
         """
         known = self._recent_ms.get(self._index, milliseconds)
@@ -119,14 +112,14 @@ _BACKGROUND_GRAY = 32
 
 @dataclass(frozen=True)
 class ScreenImage:
-    """Image that waits to be sent to a page, with its JPEG quality and the depth that occludes gizmos."""
+    """Image to display next on a page."""
 
     picture: Picture
     """sRGB image, shape (H, W, 3), uint8."""
     quality: int
     """JPEG quality, 1 to 95."""
     depth: npt.NDArray[np.float32] | None = None
-    """View depth at every `DEPTH_STRIDE`-th pixel of each axis, page units; None for a moving view."""
+    """View depth of every `DEPTH_STRIDE`-th pixel, page units; None for a moving view."""
 
 
 def frame_image(frame: ls.Frame, view: str) -> Picture:
@@ -149,14 +142,14 @@ def frame_image(frame: ls.Frame, view: str) -> Picture:
 
 
 def page_depth(frame: ls.Frame, page_from_scene: float) -> npt.NDArray[np.float32]:
-    """Returns a frame's view depth at every `DEPTH_STRIDE`-th pixel, page units; 1000 where no surface is."""
+    """Returns the view depth of a frame at every `DEPTH_STRIDE`-th pixel, page units, to occlude gizmos on the page."""
     half = DEPTH_STRIDE // 2
     depth = frame.depth_z[half::DEPTH_STRIDE, half::DEPTH_STRIDE] * page_from_scene
     return np.nan_to_num(depth, nan=1e3, posinf=1e3).astype(np.float32)
 
 
 def split_image(before: Picture, after: Picture, share: float) -> Picture:
-    """Joins two images of one size: ``before`` fills the left fraction ``share``, ``after`` the rest; white border."""
+    """Joins two images of one size: ``before`` fills the left fraction ``share``, with a white line at the border."""
     column = min(max(round(share * after.shape[1]), 0), after.shape[1] - 1)
     joined = after.copy()
     joined[:, :column] = before[:, :column]
@@ -165,55 +158,49 @@ def split_image(before: Picture, after: Picture, share: float) -> Picture:
 
 
 class Screen(Protocol):
-    """Interface of whatever displays a page's images: a `BrowserScreen`, or a `CellScreen` in a notebook."""
+    """Display for a page's images: a browser page or a notebook cell."""
 
     def show(self, shown: ScreenImage) -> None:
-        """Sends an image and waits until the display acknowledges it, or until a timeout."""
+        """Sends an image and waits until it is displayed or a timeout ends the wait."""
         ...
 
     def close(self) -> None:
-        """Makes a `show` that waits in another thread return."""
+        """Ends a wait in `show`, from another thread."""
         ...
 
 
 class Page:
-    """Camera and frames of one open page, with a thread that sends its images to a screen.
+    """An open page, with a thread that sends images to its screen.
 
-    The thread sends only the newest image, and only after the screen has displayed the last one; older ones are
-    dropped.
+    The thread sends the newest image after the screen has displayed the last one, so that no queue builds up.
 
     Args:
         screen: Screen that displays the images.
-        changed: Condition of the session, whose lock guards the page's fields; the page notifies it when it has sent.
+        changed: Condition whose lock guards the page's state; the page notifies it of changes.
     """
 
     def __init__(self, screen: Screen, changed: threading.Condition) -> None:
         self._screen, self._changed = screen, changed
         self.pose: Pose | None = None
-        """Camera of the page; None before the page has reported one, and while a notebook cell is hidden: no frames
-        then."""
+        """Camera of the page; None if the page is not visible and gets no frames."""
         self.pose_number = 0
         self.fitted_aspects: set[float] = set()
-        """Aspect ratios, width over height, for which the viewer has moved the camera so that the whole scene fits."""
+        """Aspect ratios for which the viewer placed the camera so that the whole scene fits."""
         self.changed_at = 0.0
-        """Time of the last frame of a changed view, seconds of the monotonic clock; full frames wait `SETTLED_S`
-        longer."""
+        """Time of the last change of the view, seconds of the monotonic clock."""
         self.key: tuple[int, int] | None = None
-        """`Session.revision` and the page's ``pose_number`` for the last frame, rendered or failed; a different pair
-        means that a new frame is due. None before the first frame."""
+        """Session revision and pose number of the last frame, rendered or failed."""
         self.detail = DetailController()
         self.frame: ls.Frame | None = None
-        """Last rendered frame of the page; None before the first."""
+        """Frame that the page displays."""
         self.content: tuple[object, ...] | None = None
-        """Document, camera, settings, height and time of the last frame; None before the first. If a change leaves
-        them equal, only exposure or tone map have changed, and the frame is developed again instead of rendered."""
+        """Inputs that determine the displayed frame, except exposure and tone map; None before a frame."""
         self.before_image: Picture | None = None
-        """Last image of the earlier state that option *compare* shows on the left; None before one was rendered."""
+        """Image of the left side of the comparison."""
         self.before_image_key: object = None
-        """Frame key, motion, level of detail and size for which `before_image` was rendered; other values need a new
-        image."""
+        """View and size for which `before_image` was rendered."""
         self.is_finished = False
-        """True if the view is still and its frame has enough samples."""
+        """True if a still view needs no further samples."""
         self.noise: float | None = None
         self.frames_at_rest = 0
         self.is_open = True
@@ -232,17 +219,17 @@ class Page:
 
     @property
     def takes_frames(self) -> bool:
-        """True if the page is open and no image is queued, so that a new image would be sent next."""
+        """True if no image waits to be sent, so that a new image would be displayed next."""
         return self.is_open and self._waiting is None
 
     @property
     def is_at_rest(self) -> bool:
-        """True if the view is still, its frame has enough samples, and the screen has displayed it."""
+        """True if the page has displayed and acknowledged the finished image of a still view."""
         with self._changed:
             return self.is_finished and self._waiting is None and not self._is_sending
 
     def show(self, shown: ScreenImage) -> None:
-        """Queues an image for the screen; it replaces an image that has not been sent yet."""
+        """Queues an image to send next, replacing one that still waits."""
         with self._changed:
             self._waiting = shown
             self._changed.notify_all()
@@ -285,7 +272,7 @@ class BrowserScreen:
         self._answers = True
 
     def show(self, shown: ScreenImage) -> None:
-        """Sends an image and waits until the page acknowledges it, at most `BUSY_ANSWER_S` seconds."""
+        """Sends an image and waits until the page has received it."""
         self._client.scene.set_background_image(
             shown.picture, format="jpeg", jpeg_quality=shown.quality, depth=shown.depth
         )
@@ -293,11 +280,11 @@ class BrowserScreen:
         self._await_answer()
 
     def close(self) -> None:
-        """Makes a `show` that waits in another thread return."""
+        """Ends a wait in `show`."""
         self._is_open = False
 
     def _await_answer(self) -> None:
-        """Waits until the page answers a request, which it does only after it has displayed all images sent before."""
+        """Waits until the page has processed its messages, by a request that viser pages answer in order."""
         until = time.monotonic() + (BUSY_ANSWER_S if self._has_answered else ANSWER_S)
         while self._answers and self._is_open:
             try:
