@@ -67,7 +67,11 @@ class Catalogue:
         """Names of all categories in the order of their ids: the first has id 1."""
 
     def things(self, objects: Sequence[PlacedObject]) -> list[DatasetThing]:
-        """Returns the labels of all objects in a view, by id; ``objects`` are those inserted into this view."""
+        """Returns the labels of all objects in a view, in the order of their ids.
+
+        Args:
+            objects: Objects that this view adds to those of the scene.
+        """
         things = self._scene_objects(sum(len(one.splats) for one in objects))
         next_splat = len(self._scene.splats)
         next_mesh = next_splat + sum(len(one.splats) for one in objects) + len(self._scene.meshes)

@@ -359,7 +359,10 @@ class RelitFigures(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialView:
-    """Metrics and images of one held-out view; metrics are NaN where capture or ground truth has no such layer."""
+    """Metrics and images of one held-out view.
+
+    A metric is NaN if the capture or the ground truth lacks the layer that the metric compares, such as roughness.
+    """
 
     name: str
     coverage: float

@@ -395,8 +395,7 @@ class _Session:
     output: BinaryIO
     limit: _Limit
     used: float = 0.0
-    """Processor time of this process in seconds at the start of the current call, which does not count for its limit.
-    """
+    """Processor time in seconds that this process had used before the current call; the call's limit excludes it."""
     remotes: list[Remote] = field(default_factory=list[Remote])
     has_assets: bool = False
 

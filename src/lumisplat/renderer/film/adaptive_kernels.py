@@ -28,7 +28,8 @@ STEP_Y = wp.constant(wp.float64(SUBPIXEL_STEPS[1]))
 def samples_before(sample: int, rate: int) -> int:
     """Returns how many of a frame's first ``sample`` samples a pixel takes part in.
 
-    The pixel takes part in the first `NOISE_SAMPLES_MIN` samples, then in ``rate`` of every `SAMPLE_RATES`.
+    The pixel takes part in the first `NOISE_SAMPLES_MIN` samples, then in ``rate`` of each `SAMPLE_RATES` consecutive
+    samples.
     """
     if sample < FIRST:
         return sample

@@ -1,4 +1,4 @@
-"""Host pass: adaptive sampling, which draws more samples for noisy pixels (docs/method/samples.md)."""
+"""Adaptive sampling, which draws more samples for noisy pixels (docs/method/samples.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: computes the shadow ratios of catchers, and blurs them where captures have no clear surface.
+"""Computes the shadow ratios of catchers, and blurs them where captures have no clear surface.
 
 A shadow ratio is the captured colour with added objects and lights over the captured colour without them.
 """

@@ -1,4 +1,4 @@
-"""Host pass: the film, which accumulates the samples of rays in the images of a frame."""
+"""The film, which accumulates the samples of rays in the images of a frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: encodes frames to 8-bit images on the device, so that display and saving download only 4 bytes a pixel."""
+"""Encodes frames to 8-bit images on the device, so that display and saving download only 4 bytes a pixel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: backward pass of ray tracing, from gradients at rays to gradients of the Gaussians that they hit."""
+"""Backward pass of ray tracing, from gradients at rays to gradients of the Gaussians that they hit."""
 
 from __future__ import annotations
 

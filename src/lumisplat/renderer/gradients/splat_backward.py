@@ -1,4 +1,4 @@
-"""Host pass: backward pass of the EWA rasteriser, from gradients at pixels to those of splats, Gaussians and pose."""
+"""Backward pass of the EWA rasteriser, from gradients at pixels to those of splats, Gaussians and pose."""
 
 from __future__ import annotations
 

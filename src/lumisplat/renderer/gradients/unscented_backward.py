@@ -1,4 +1,4 @@
-"""Host pass: backward pass of ``Projection.UNSCENTED``, from gradients at pixels to gradients of Gaussians and pose."""
+"""Backward pass of ``Projection.UNSCENTED``, from gradients at pixels to gradients of Gaussians and pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: radiance of camera rays by path tracing, bounce by bounce (Kajiya 1986; Veach 1997).
+"""Radiance of camera rays by path tracing, bounce by bounce (Kajiya 1986; Veach 1997).
 
 A wave is all rays of paths that are still alive after the same number of bounces.
 """

@@ -1,4 +1,4 @@
-"""Host pass: radiance of camera rays by direct light, specular reflection and refraction (Whitted 1980).
+"""Radiance of camera rays by direct light, specular reflection and refraction (Whitted 1980).
 
 A wave is all rays after the same number of reflections and refractions.
 """

@@ -1,4 +1,4 @@
-"""Host pass: direct light where rays hit surfaces, with shadow rays to every light that casts shadows.
+"""Direct light where rays hit surfaces, with shadow rays to every light that casts shadows.
 
 A wave is all rays after the same number of reflections and refractions.
 """

@@ -1,4 +1,4 @@
-"""Host pass: radiance of rays without direct light, and the interactions with surfaces that direct light reads."""
+"""Radiance of rays without direct light, and the interactions with surfaces that direct light reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: finds the nearest mesh surface at each pixel by rasterisation."""
+"""Finds the nearest mesh surface at each pixel by rasterisation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: finds primary hits by rasterisation, and returns them in the ray tracer's format."""
+"""Finds primary hits by rasterisation, and returns them in the ray tracer's format."""
 
 from __future__ import annotations
 

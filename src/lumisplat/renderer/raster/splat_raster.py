@@ -1,4 +1,4 @@
-"""Host pass: composites splats in front of meshes into pixels or ray hits (Kerbl et al. 2023, section 6)."""
+"""Composites splats in front of meshes into pixels or ray hits (Kerbl et al. 2023, section 6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: a fast path that composites an unlit, sorted raster frame directly into its pixels.
+"""A fast path that composites an unlit, sorted raster frame directly into its pixels.
 
 Going through primary hits, such a frame takes 19 to 43 % longer: each pixel would start a ray, store its hits and shade
 them, although the compositor already has the result in registers.

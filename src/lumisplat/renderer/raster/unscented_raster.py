@@ -1,4 +1,4 @@
-"""Host pass: primary hits for any lens, with Gaussians listed per tile but evaluated along rays, and traced meshes.
+"""Primary hits for any lens, with Gaussians listed per tile but evaluated along rays, and traced meshes.
 
 The method is 3DGUT (Wu et al. 2025).
 """

@@ -1,4 +1,4 @@
-"""Host pass: temporal antialiasing of frames with jittered samples (docs/method/realtime.md#antialiasing)."""
+"""Temporal antialiasing of frames with jittered samples (docs/method/realtime.md#antialiasing)."""
 
 from __future__ import annotations
 

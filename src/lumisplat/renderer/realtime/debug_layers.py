@@ -1,4 +1,4 @@
-"""Host pass: draws debug layers, which show the motion of surfaces and the state reused from frame to frame.
+"""Draws debug layers, which show the motion of surfaces and the state reused from frame to frame.
 
 Each layer is an image with one vec3 for each camera ray (docs/guide/image_layers.md).
 """

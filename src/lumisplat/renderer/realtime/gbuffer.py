@@ -1,4 +1,4 @@
-"""Host pass: the G-buffer, which holds splat and mesh surfaces at the pixels of this frame and of the previous one."""
+"""The G-buffer, which holds splat and mesh surfaces at the pixels of this frame and of the previous one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: indirect light at the surfaces of pixels, from screen probes and the radiance cache.
+"""Indirect light at the surfaces of pixels, from screen probes and the radiance cache.
 
 Secondary rays start at probes, at cache cells and within highlights (docs/method/realtime.md#rays).
 """

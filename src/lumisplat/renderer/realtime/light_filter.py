@@ -1,4 +1,4 @@
-"""Host pass: spatiotemporal denoiser of the light at surfaces (SVGF, Schied et al. 2017)."""
+"""Spatiotemporal denoiser of the light at surfaces (SVGF, Schied et al. 2017)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: with many lights, chooses a few lights for each cell of a grid in world space.
+"""With many lights, chooses a few lights for each cell of a grid in world space.
 
 The method is in docs/method/realtime.md#light-grid.
 """

@@ -1,4 +1,4 @@
-"""Host pass: reflections and refractions of smooth surfaces in real time (docs/method/realtime.md#mirrors)."""
+"""Reflections and refractions of smooth surfaces in real time (docs/method/realtime.md#mirrors)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: direct light at the surfaces of pixels, with one shadow ray for each pixel.
+"""Direct light at the surfaces of pixels, with one shadow ray for each pixel.
 
 The method is in docs/method/realtime.md#direct and #captured-emitters.
 """

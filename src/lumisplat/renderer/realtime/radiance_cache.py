@@ -1,4 +1,4 @@
-"""Host pass: world-space cache of reflected radiance (docs/method/realtime.md#radiance-cache).
+"""World-space cache of reflected radiance (docs/method/realtime.md#radiance-cache).
 
 In each frame, call `RadianceCache.insert` with the hits of rays, and `look_up` for the radiance at hits. Trace a ray
 from each of `bounce_points`, insert its hit and call `add_bounces`. At the end of the frame, call `evict`.

@@ -1,4 +1,4 @@
-"""Host pass: real-time integrator, which lights sequences of frames with global illumination.
+"""Real-time integrator, which lights sequences of frames with global illumination.
 
 The method is in docs/method/realtime.md.
 """

@@ -476,7 +476,7 @@ def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4])
 
 @wp.func
 def known_around(x: int, y: int, grid: ProbeGrid, irradiance: wp.array[wp.vec3], is_known: wp.array[int]) -> wp.vec4:
-    """Returns (sum of irradiance, count) over the 5 x 5 pixels around whose irradiance is known."""
+    """Returns (sum of irradiance, count) of those of the 5 x 5 pixels around (x, y) whose irradiance is known."""
     total = wp.vec4(0.0)
     for v in range(wp.max(y - AROUND, 0), wp.min(y + AROUND + 1, grid.height)):
         for u in range(wp.max(x - AROUND, 0), wp.min(x + AROUND + 1, grid.width)):

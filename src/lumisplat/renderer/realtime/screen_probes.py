@@ -1,4 +1,4 @@
-"""Host passes: screen probes, which gather indirect light in real time (docs/method/realtime.md#screen-probes)."""
+"""Screen probes, which gather indirect light in real time (docs/method/realtime.md#screen-probes)."""
 
 from __future__ import annotations
 

@@ -49,8 +49,7 @@ class DeviceScene:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._structure: tuple[list[int], list[int]] | None = None
         self._layout: list[object] | None = None
-        """Objects that hold the device arrays of the assets, in order; if one is another object after an upload,
-        `version` grows."""
+        """Holders of the assets' device arrays, as of the last upload; `version` grows if an upload replaces one."""
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed

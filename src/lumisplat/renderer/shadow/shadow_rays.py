@@ -1,4 +1,4 @@
-"""Host pass: traces shadow rays for their transmittance through Gaussians and meshes (docs/method/shadows.md)."""
+"""Traces shadow rays for their transmittance through Gaussians and meshes (docs/method/shadows.md)."""
 
 from __future__ import annotations
 

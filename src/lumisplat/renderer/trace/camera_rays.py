@@ -1,4 +1,4 @@
-"""Host pass: starts the rays of a camera's pixels."""
+"""Starts the rays of a camera's pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: traces rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)."""
+"""Traces rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: traces rays of paths through Gaussians (docs/method/paths.md#surfaces)."""
+"""Traces rays of paths through Gaussians (docs/method/paths.md#surfaces)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: finds the hits of rays on meshes and Gaussians."""
+"""Finds the hits of rays on meshes and Gaussians."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host pass: follows reflected and refracted rays bounce by bounce.
+"""Follows reflected and refracted rays bounce by bounce.
 
 A wave is all rays after the same number of bounces; the rays that leave its smooth surfaces form the next wave.
 Radiance is gathered from the last wave to the first, so that each array element is written by one thread, and the

@@ -1,4 +1,4 @@
-"""Host pass: builds bounding volume hierarchies (BVHs) over boxes, and refits them when the boxes change.
+"""Builds bounding volume hierarchies (BVHs) over boxes, and refits them when the boxes change.
 
 Nodes have eight children, leaves one item. A BVH is built level by level from the root, so children come after their
 parents, and a refit runs backwards through the levels. Several BVHs are built at once; their roots are the first level.

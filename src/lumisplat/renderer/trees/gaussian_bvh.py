@@ -1,4 +1,4 @@
-"""Host pass: builds a BVH over the Gaussians of an asset, and refits it when they move."""
+"""Builds a BVH over the Gaussians of an asset, and refits it when they move."""
 
 # Warp creates its vector types at run time, so type checkers know neither them nor the kernels that take them.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false

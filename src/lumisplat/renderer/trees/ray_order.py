@@ -1,4 +1,4 @@
-"""Host pass: sorts incoherent rays so that neighbours in the order have similar origins and directions.
+"""Sorts incoherent rays so that neighbours in the order have similar origins and directions.
 
 Rays are still traced one by one, but find BVH nodes in the caches that preceding rays have read.
 """

@@ -142,7 +142,7 @@ def _clusters(parts: Moments, colors: Doubles, count: int, progress: Callable[[f
         progress: Called with the fraction done, 0..1.
 
     Returns:
-        The cluster of each Gaussian, 0..count - 1, in Morton order, shape (N,).
+        Index of each Gaussian's cluster, 0..count - 1, shape (N,). Clusters are numbered along a Morton curve.
     """
     labels = np.arange(parts.masses.size)
     start = max(math.log(parts.masses.size / count), 1e-9)

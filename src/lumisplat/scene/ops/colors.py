@@ -53,7 +53,8 @@ def colors_along(gaussians: Gaussians, directions: npt.NDArray[np.floating], deg
 def display_sh(linear_sh: npt.NDArray[np.floating]) -> FloatArray:
     """Converts SH of linear colours to SH of sRGB colours, by least squares over all directions.
 
-    The sRGB SH fit the sRGB encoding of ``max(SH + 0.5, 0)``. A single coefficient is converted exactly.
+    Before and after, a colour is its SH sum plus 0.5: the new sum plus 0.5 fits the sRGB encoding of
+    ``max(old sum + 0.5, 0)``. A single coefficient is converted exactly.
 
     Args:
         linear_sh: SH of linear Rec.709 colours of N Gaussians, K coefficients per channel, shape (N, K, 3).
