@@ -74,6 +74,6 @@ def test_spz_stores_baked_colours_within_its_quantisation(baked, tmp_path):
     assert np.abs(same_shapes - frames(replace(baked, sh=clipped))).max() <= bound.max() + 1e-6
 
 
-def test_frames_of_a_bake_before_and_after_saving_as_spz_differ_by_over_45_db_psnr(baked, tmp_path):
+def test_frames_of_a_bake_before_and_after_saving_as_spz_match_with_over_45_db_psnr(baked, tmp_path):
     """Positions, scales, rotations and opacities are quantised too (docs/guide/bake.md)."""
     assert ls.metrics.psnr(frames(loaded(baked, tmp_path / "baked.spz")), frames(baked)) > 45.0

@@ -351,7 +351,7 @@ def test_animate_logs_options_without_effect_once(work, caplog):
     ]
 
 
-def test_animate_logs_black_sides_of_actors_with_a_remedy(work, caplog):
+def test_animate_logs_that_sides_of_actors_are_black_and_names_a_remedy(work, caplog):
     """The log line names the option and a valid key of the scene file."""
     work.path("dark.toml").write_text(RELIT)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -379,7 +379,7 @@ def test_animate_does_not_log_relit_actors_with_an_albedo_as_unlit(work, caplog)
         assert caplog.text.count("captures with an albedo stay unlit") == count
 
 
-def test_animate_accepts_captures_without_lights_that_do_not_surround_the_actors(work, caplog) -> None:
+def test_animate_accepts_an_unlit_capture_that_does_not_surround_the_actors(work, caplog) -> None:
     """Actors cast no shadow and are brightened as if the capture surrounded them; the log names the option for that."""
     light = SCENE[SCENE.index("[[lights]]") : SCENE.index("[[actors]]")]
     work.path("scene.toml").write_text(RELIT.replace(light, ""))

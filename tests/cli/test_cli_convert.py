@@ -85,7 +85,7 @@ def test_convert_prints_the_effect_of_each_edit(work: Workspace) -> None:
     assert "--decimate: 60 -> 1 Gaussian\n" in one and "1 Gaussian, SH degree 0, " in one
 
 
-def test_convert_sh_degree_removes_or_pads_coefficients(work: Workspace) -> None:
+def test_sh_degree_option_of_convert_removes_sh_coefficients_or_pads_them_with_zeros(work: Workspace) -> None:
     """Missing degrees are padded with zeros to 62 columns, as some importers require."""
     capture = work.capture("capture.ply")
     ls.save(work.path("sh2.ply"), replace(capture, sh=np.ones((60, 9, 3))))

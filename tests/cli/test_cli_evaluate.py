@@ -124,7 +124,7 @@ def test_evaluate_composites_transparent_images_over_the_background(work):
     assert ls.metrics.psnr(ls.load_image(work.path("white.png")), shown(work)) < 20.0
 
 
-def test_evaluate_scale_reduces_the_compared_images(work):
+def test_scale_option_of_evaluate_downscales_images_before_comparing_them(work):
     """The capture is rendered at the size of the images."""
     done = work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--scale", "0.5", "-o", "@half")
     assert done.status == 0

@@ -24,7 +24,9 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workspace:
 @pytest.mark.parametrize(
     ("options", "count"), [([], 50), (["--lod", "1"], 23), (["--lod", "budget=30"], 23), (["--lod", "budget=8"], 8)]
 )
-def test_convert_and_info_lod_select_a_level_of_a_streamed_sog(work: Workspace, options: list[str], count: int) -> None:
+def test_lod_option_of_convert_and_info_selects_a_level_of_a_streamed_sog(
+    work: Workspace, options: list[str], count: int
+) -> None:
     """The SOG may be given by its folder or its file."""
     assert work.run("convert", "@city", "@out.ply", *options).status == 0
     assert work.capture("out.ply").count == count
@@ -32,7 +34,7 @@ def test_convert_and_info_lod_select_a_level_of_a_streamed_sog(work: Workspace, 
     assert shown[0]["gaussians"] == count
 
 
-def test_render_lod_selects_a_level_of_a_streamed_sog(work: Workspace) -> None:
+def test_lod_option_of_render_selects_a_level_of_a_streamed_sog(work: Workspace) -> None:
     """The option applies to a file, and to entries of a scene file without a level."""
     for scene in ("@city", "@scene.toml"):
         work.path("scene.toml").write_text('[[splats]]\npath = "city"\n')
@@ -90,7 +92,9 @@ def test_mistakes_of_the_lod_option_are_reported_in_one_line(
         ('path = "city"\nlod = 7', r"has no level 7"),
     ],
 )
-def test_mistakes_in_lod_keys_of_scene_files_name_file_and_line(work: Workspace, entry: str, message: str) -> None:
+def test_error_for_a_wrong_lod_key_of_a_scene_file_names_file_and_line(
+    work: Workspace, entry: str, message: str
+) -> None:
     """The file is a streamed SOG or another capture."""
     work.path("scene.toml").write_text(f"[[splats]]\n{entry}\n")
     with pytest.raises(ls.FormatError, match=message):

@@ -143,7 +143,7 @@ def test_metrics_drop_invalid_leaves_out_invalid_gaussians(work):
     assert report["ncm_ab"] == ls.metrics.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
 
 
-def test_metrics_of_one_avatar_print_one_column(work):
+def test_metrics_table_of_an_avatar_without_the_option_before_has_one_column(work):
     """The gain needs ``--before``."""
     table = rows(work.run("metrics", "@avatar.ply", "--scene", "@room.ply").out)
     assert table["avatar.ply"] == []

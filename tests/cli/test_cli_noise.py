@@ -48,7 +48,7 @@ def noise_of(line: str, samples: str) -> float:
     return float(found[1])
 
 
-def test_render_logs_the_noise_of_few_samples_with_a_remedy(lines) -> None:
+def test_render_of_few_samples_logs_how_noisy_the_frame_is_and_names_a_remedy(lines) -> None:
     """The line appears once for all frames; the noise falls with the square root of the samples."""
     other = "[[cameras]]\neye = [0, 2, -3]\ntarget = [0, 0, 0]\nwidth = 24\nheight = 16\n"
     (two,) = lines(FLOOR + BOX + AREA_LIGHT + other, "--samples", "2")
@@ -78,7 +78,7 @@ def test_render_logs_no_warning_about_frames_with_little_noise(lines, scene: str
     assert lines(scene, *options) == []
 
 
-def test_render_logs_no_noise_warning_of_the_path_pipeline_if_denoised_or_traced(lines) -> None:
+def test_render_logs_no_path_tracing_noise_for_denoised_frames_and_the_trace_pipeline(lines) -> None:
     """Pipelines that sample lights at random have a different line."""
     assert lines(FLOOR + BOX + AREA_LIGHT, "--samples", "2", pipeline="trace") == []
     pytest.importorskip("mitsuba_oidn")

@@ -93,7 +93,7 @@ def test_orbit_never_replaces_frames_without_its_settings_file(work) -> None:
     assert work.path("turn/frame_0000.png").read_bytes() == b"mine"
 
 
-def test_orbit_eye_sets_the_first_camera_position(work) -> None:
+def test_eye_option_of_orbit_sets_the_position_of_the_first_camera(work) -> None:
     """``--target`` sets the centre."""
     assert orbit(work, "--eye", "0,-1,1", "--target", "0,0,4").status == 0
     scene = ls.Scene([work.capture("capture.ply")])

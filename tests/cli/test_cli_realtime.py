@@ -117,7 +117,7 @@ def test_realtime_quality_changes_the_image_of_the_realtime_pipeline(work, caplo
 
 
 @pytest.mark.parametrize("command", ["animate", "orbit"])
-def test_realtime_quality_applies_to_animate_and_orbit(work, command):
+def test_realtime_quality_option_changes_frames_of_animate_and_orbit(work, command):
     """Each quality gives another image, and repeated runs equal ones."""
     options = (
         "--device",
@@ -134,7 +134,7 @@ def test_realtime_quality_applies_to_animate_and_orbit(work, command):
     assert made["preview"] != made["high"] == made["again"]
 
 
-def test_stats_list_the_passes_of_realtime_frames(work):
+def test_stats_option_prints_times_of_the_passes_of_realtime_frames(work):
     """Passes are in the order of docs/method/realtime.md, each followed by its stages."""
     work.path("scene.toml").write_text(SCENE.replace("max_bounces = 0", ""))
     out = work.run("render", "@scene.toml", "-o", "@a.png", "--samples", "2", "--stats", "--device", "cpu").out

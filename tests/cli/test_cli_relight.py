@@ -100,7 +100,7 @@ def test_relight_at_a_dim_position_prints_a_suitable_gamma(work):
     assert "to keep the avatar about as bright as it was: --gamma" in printed
 
 
-def test_relight_in_darkness_prints_advice_without_a_gamma(work):
+def test_relight_at_a_position_without_light_prints_advice_that_suggests_no_gamma(work):
     """No gamma would help."""
     printed = work.run("relight", "@ball.ply", "@dust.ply", "-o", "@a.ply", "--device", "cpu").out
     assert "there is almost no light" in printed and "--gamma" not in printed

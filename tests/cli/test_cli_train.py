@@ -87,7 +87,7 @@ def test_train_refuses_a_folder_without_poses(tmp_path: Path, capsys: pytest.Cap
     assert "transforms.json" in capsys.readouterr().err
 
 
-def test_train_poses_colmap_names_the_package_extra_to_install(
+def test_train_that_needs_colmap_poses_without_pycolmap_names_the_extra_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The message has the pip command."""

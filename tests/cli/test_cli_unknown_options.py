@@ -27,7 +27,7 @@ def problem(capsys: pytest.CaptureFixture[str], line: str) -> str:
     ],
 )
 @pytest.mark.parametrize("command", ["render", "view", "orbit", "bench"])
-def test_unknown_option_named_like_a_setting_is_answered_with_set(
+def test_error_for_an_unknown_option_named_like_a_setting_suggests_the_option_set(
     command: str, typed: str, answer: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The line is what to type: ``--set`` with the path of the setting and the given value."""

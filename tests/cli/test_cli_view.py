@@ -113,7 +113,7 @@ def test_view_and_layer_options_of_render_request_the_layers_that_they_need():
     assert FrameWriter((), "depth").aovs == () and FrameWriter((), None).aovs == ()
 
 
-def test_sixteen_bit_depth_image_stores_its_range(work):
+def test_sixteen_bit_depth_image_stores_the_depth_range_that_it_encodes(work):
     """``--aov depth`` also writes 16-bit grey; the range in its text, which is also printed, restores the depths."""
     outcome = work.run(*ARGS, "--frames", "left", "--aov", "depth", "-o", "@a.png")
     assert outcome.status == 0 and work.path("a.depth.png").exists()

@@ -268,7 +268,9 @@ def test_every_setting_with_choices_is_in_the_list_of_tested_settings() -> None:
         ("none", None),
     ],
 )
-def test_backgrounds_are_accepted_as_text(text: str, color: tuple[float, float, float] | None) -> None:
+def test_background_colour_of_a_config_may_be_given_as_text(
+    text: str, color: tuple[float, float, float] | None
+) -> None:
     """The command line passes backgrounds as text."""
     assert ls.RenderConfig(background=cast(Any, text)) == ls.RenderConfig(background=color)
 

@@ -65,7 +65,7 @@ def test_frames_that_are_exact_with_one_sample_use_no_random_numbers() -> None:
     assert "trace.strategy" in replace(exact, pipeline=ls.Pipeline.PATH).unused_settings(lit=True)
 
 
-def test_only_config_pipelines_py_compares_pipelines_with_each_other() -> None:
+def test_only_the_file_config_pipelines_py_compares_values_with_pipelines() -> None:
     """Other code asks for the property that it depends on: `rasterises`, `bounces_light` and so on."""
     asking: list[str] = []
     for path in SOURCES.rglob("*.py"):

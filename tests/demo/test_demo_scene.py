@@ -95,7 +95,7 @@ def lit(demo: ls.Scene) -> ls.Scene:
     return ls.demo_scene_lit(demo)
 
 
-def test_relit_demo_has_the_gaussians_and_meshes_of_the_demo(demo: ls.Scene, lit: ls.Scene) -> None:
+def test_relit_demo_scene_has_the_gaussians_and_meshes_of_the_demo_scene(demo: ls.Scene, lit: ls.Scene) -> None:
     """Meshes are at the same positions; there is a mirror, glass, and three kinds of lights."""
     assert [instance.name for instance in lit.splats] == ["room", "garden"]
     means = np.concatenate([instance.gaussians.means for instance in lit.splats])
@@ -110,7 +110,7 @@ def test_relit_demo_has_the_gaussians_and_meshes_of_the_demo(demo: ls.Scene, lit
     assert [light.name for light in lit.lights] == ["spot", "lamp", "sky"]
 
 
-def test_relit_demo_contains_no_baked_daylight(lit: ls.Scene) -> None:
+def test_relit_demo_scene_contains_no_baked_daylight(lit: ls.Scene) -> None:
     """The room is black with all lights off, while the garden still emits its captured radiance."""
     camera = ls.demo_cameras(160, 90, count=1)[0]
     off = replace(lit, lights=(ls.LightPoint((0.0, 1.0, 0.0), intensity=0.0),))
@@ -127,7 +127,7 @@ def test_relit_demo_contains_no_baked_daylight(lit: ls.Scene) -> None:
     np.testing.assert_array_equal(dark.pixels_srgb()[untouched], unlit.pixels_srgb()[untouched])
 
 
-def test_relit_demo_is_well_exposed_from_every_camera(lit: ls.Scene) -> None:
+def test_relit_demo_scene_is_well_exposed_from_every_camera(lit: ls.Scene) -> None:
     """Most pixels are neither black nor white, and both warm and cool light are visible."""
     config = ls.RenderConfig(shadows=ls.Shadows.OFF, tone_map=ls.ToneMap.NEUTRAL, samples=2)
     renderer = ls.create_renderer(config, "cpu")

@@ -130,7 +130,7 @@ def test_layers_of_a_lit_frame_are_saved_as_images_beside_the_png(tmp_path: Path
     assert {path.name for path in tmp_path.iterdir()} == {"a.png", *(f"a.{name}.png" for name in names)}
 
 
-def test_npz_files_store_only_the_rendered_layers_of_a_lit_frame(tmp_path: Path) -> None:
+def test_npz_file_of_a_lit_frame_stores_its_rendered_layers_and_no_others(tmp_path: Path) -> None:
     """Every image and the lights' names survive a round trip; layers that were not requested are absent."""
     frame = replace(ball_frame(), reflection=None)
     frame.save(tmp_path / "a.npz")

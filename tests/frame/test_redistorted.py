@@ -136,7 +136,7 @@ def test_background_appears_beyond_the_fold_of_the_distortion_polynomial():
     np.testing.assert_array_equal(frame.color[missing], np.broadcast_to((1.0, 0.0, 0.0), (int(missing.sum()), 3)))
 
 
-def test_raster_pipeline_refuses_distorted_lenses_near_180_degrees_and_resuming_them():
+def test_raster_pipeline_refuses_distorted_lenses_near_180_degrees_and_to_resume_distorted_frames():
     """A lens near 180 degrees would need an unbounded pinhole image; a resumed frame would be filtered twice."""
     with pytest.raises(ls.SceneError, match=r"undistorted image of .* use Pipeline.TRACE"):
         undistorted_camera(front_camera(96, 72, 60.0, distortion=(-0.3, 0.045, 0.0, 0.0, 0.0, 0.0), fx=40.0, fy=40.0))

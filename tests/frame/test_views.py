@@ -75,7 +75,7 @@ def test_depth_view_runs_from_red_to_blue_over_the_depth_range(frame: ls.Frame) 
     np.testing.assert_allclose(picture[same], other[0, 2], atol=0.05)
 
 
-def test_views_of_a_frame_without_surfaces_are_black_and_its_shadow_view_unlit(frame: ls.Frame) -> None:
+def test_views_of_a_frame_without_surfaces_are_black_except_the_shadow_view(frame: ls.Frame) -> None:
     """Views of surfaces are black, and the view of shadows has the colour of pixels that no light reaches."""
     empty = replace(
         frame,
@@ -132,7 +132,7 @@ def test_index_views_give_each_index_a_fixed_and_distinct_colour(frame: ls.Frame
     np.testing.assert_array_equal(picture[5], 0.0)
 
 
-def test_views_of_light_are_exposed_and_views_of_albedo_are_not(frame: ls.Frame) -> None:
+def test_exposure_applies_to_views_of_light_and_not_to_views_of_albedo(frame: ls.Frame) -> None:
     """Light is exposed and sRGB-encoded, albedo is not exposed, and shadows are linear."""
     bright = ball_frame(exposure=1.0)
     assert frame.reflection is not None and frame.albedo is not None and frame.light_shadow is not None

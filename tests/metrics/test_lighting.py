@@ -170,7 +170,7 @@ def test_ncm_ab_is_the_mean_distance_of_the_cheapest_assignment():
     assert ls.metrics.ncm_ab(*sides) == pytest.approx(cost[linear_sum_assignment(cost)].mean(), rel=1e-9)
 
 
-def test_ncm_ab_of_a_random_subset_depends_only_on_the_seed():
+def test_ncm_ab_of_a_random_subset_of_points_depends_on_the_seed_and_nothing_else():
     """Each seed gives one value, close to that of all points."""
     rng = np.random.default_rng(6)
     normals = all_around(1500)
@@ -182,7 +182,7 @@ def test_ncm_ab_of_a_random_subset_depends_only_on_the_seed():
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_light_metrics_do_not_depend_on_the_order_or_common_position_of_points(metric):
+def test_light_metrics_do_not_depend_on_the_order_or_common_translation_of_points(metric):
     """Both sides may be moved together; twice the light of the avatar does not change PAA-Y."""
     rng = np.random.default_rng(7)
     normals = all_around(500)

@@ -217,7 +217,7 @@ def broken_imports(path: Path) -> Iterator[str]:
             yield f"{name} imports {target}"
 
 
-def test_modules_import_only_their_own_and_lower_layers() -> None:
+def test_modules_import_from_their_own_and_lower_layers_and_from_no_others() -> None:
     """The rule covers imports inside functions; ``lumisplat/__init__.py`` imports lazily."""
     inner = [path for path in FILES if module_name(path)]
     assert not [line for path in inner for line in broken_imports(path)]

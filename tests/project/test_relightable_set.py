@@ -179,7 +179,7 @@ def test_roughness_in_the_relightable_data_set_is_interpolated_between_vertices(
 @pytest.mark.deep
 @pytest.mark.parametrize("roughness", [0.2, 0.8])
 @pytest.mark.parametrize("degrees", [10.0, 75.0])
-def test_gltf_dielectric_of_mitsuba_matches_the_specification(
+def test_dielectric_material_made_for_mitsuba_matches_the_gltf_specification(
     tool: ModuleType, roughness: float, degrees: float
 ) -> None:
     """Importance sampling estimates the same reflectance."""

@@ -148,7 +148,7 @@ def test_shadow_maps_of_later_frames_reuse_the_memory_of_the_first(monkeypatch: 
     assert len(built) == 2 and [shadow.bytes for shadow in built] == held
 
 
-def test_avatar_lighter_returns_the_scenes_own_capture_objects_without_actors() -> None:
+def test_avatar_lighter_without_actors_returns_the_same_capture_objects_as_the_scene() -> None:
     """The captures are the scene's own objects, without copies."""
     scene = ls.Scene(splats=[floor()])
     assert lighter(scene).light([]).splats[0] is scene.splats[0]
@@ -200,7 +200,7 @@ def test_avatar_lighter_reuses_normals_and_probes_of_a_static_actor(monkeypatch:
     assert calls.count("normals") == 1 and calls.count("probe") == 2
 
 
-def test_avatar_lighter_shadows_captures_by_mesh_actors_and_gives_lights_to_the_meshes() -> None:
+def test_mesh_actors_cast_shadows_on_captures_and_are_lit_by_the_lights_of_the_frame() -> None:
     """The frame has lights for the mesh; pixels of captures equal those of an unlit frame."""
     ground = floor()
     pose = np.eye(4)
@@ -238,7 +238,7 @@ def test_captures_do_not_shadow_mesh_actors() -> None:
     assert enclosed == pytest.approx(open_air, rel=1e-3) and open_air > 0.05
 
 
-def test_mesh_actors_get_given_lights_and_no_probe_if_an_environment_is_among_them() -> None:
+def test_given_lights_light_mesh_actors_together_with_a_probe_unless_they_have_an_environment() -> None:
     """The frame has all enabled lights; if they include an environment, no light from a probe is added."""
     lights = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
     stage = lighter(ls.Scene(splats=[floor()]), lights, relight=True)
@@ -417,7 +417,9 @@ def test_probe_of_an_actor_includes_the_background_radiance() -> None:
     assert decode_srgb(np.array(colors[1])) == pytest.approx(0.6, abs=0.01)
 
 
-def test_dark_relit_actors_are_logged_once_with_a_gamma_as_advice(caplog: pytest.LogCaptureFixture) -> None:
+def test_relit_actors_that_are_too_dark_are_logged_once_with_a_suggested_gamma(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """The line advises a larger ``RelightConfig.gamma``; with such a gamma, there is no warning."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
@@ -484,7 +486,7 @@ def test_sun_blocked_by_the_scene_does_not_light_actors(caplog: pytest.LogCaptur
     assert (ball_in(ls.Scene(splats=[roof]), [slanted]) - without).max() > 0.4
 
 
-def test_irradiance_of_the_sun_that_the_probe_already_contains_is_added_only_once() -> None:
+def test_sun_adds_to_relit_actors_only_irradiance_that_their_probe_does_not_contain() -> None:
     """The probe's irradiance from the sun's direction beyond its mean is subtracted from the sun, down to 0."""
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -313,7 +313,7 @@ def test_delight_gives_gaussians_that_no_light_reaches_their_neighbours_albedo()
     assert np.allclose(steps.filled(albedo, light, near), 0.5, atol=1e-4)
 
 
-def test_delight_refuses_captures_without_a_surface_or_all_black_or_all_white(
+def test_delight_refuses_captures_that_lack_a_surface_or_are_all_black_or_all_white(
     ball: tuple[ls.Gaussians, np.ndarray], caplog: pytest.LogCaptureFixture
 ) -> None:
     """Captures without a surface, all white or all black, and other types are refused; a replaced albedo is logged."""

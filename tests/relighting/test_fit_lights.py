@@ -56,7 +56,7 @@ def test_light_fit_errors_with_noise_are_within_5_standard_errors():
     assert (off < 5.0 * found.standard_errors).all()
 
 
-def test_light_fit_gives_power_0_to_a_light_that_is_off():
+def test_light_fit_gives_power_0_to_a_light_that_is_off_in_the_image():
     """No power is negative, and a remark reports a light that the fit turned off."""
     lights = three_lights()
     dark = replace(lights[1], intensity=0.0)

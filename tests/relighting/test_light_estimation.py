@@ -57,7 +57,7 @@ def test_light_estimate_reports_the_gaussian_at_each_light() -> None:
     np.testing.assert_allclose([light.position for light in found.lights], room.means[found.indices], atol=1e-6)
 
 
-def test_estimated_lights_give_the_requested_irradiance_at_the_centre() -> None:
+def test_estimated_lights_give_the_requested_irradiance_at_the_centre_of_the_search() -> None:
     """The irradiances of all lights sum to pi by default, in proportion to score over squared distance."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     arriving = sum(light.intensity / np.sum(np.subtract(light.position, CENTER) ** 2) for light in found.lights)
@@ -135,7 +135,7 @@ def test_light_estimation_scores_surrounding_brightness_high_on_walls_and_low_at
     assert wall_level > 0.8 and lamp_level < 0.11
 
 
-def test_size_of_gaussians_does_not_change_their_light_score() -> None:
+def test_size_of_gaussians_does_not_change_how_light_estimation_scores_them() -> None:
     """Gaussians ten times larger have the same score."""
     room = three_lamps()
     large = replace(room, scales=room.scales * np.where(np.arange(room.count) % 2, 10.0, 1.0)[:, None])
@@ -144,7 +144,7 @@ def test_size_of_gaussians_does_not_change_their_light_score() -> None:
     np.testing.assert_array_equal(one.scores, other.scores)
 
 
-def test_light_estimation_respects_instance_transforms() -> None:
+def test_light_estimation_finds_lamps_of_a_transformed_instance_in_world_space() -> None:
     """Lamps of a rotated, scaled and moved capture are found at their new positions with equal colours."""
     angle = 0.7
     pose = np.eye(4)

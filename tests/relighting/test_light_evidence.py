@@ -78,7 +78,7 @@ def test_sun_estimate_is_none_under_an_overcast_sky() -> None:
     assert ls.inverse.estimate_sun(capture.scene, capture.center) is None
 
 
-def test_captured_figure_without_surroundings_gives_no_light_and_no_sun(data_dir: Path) -> None:
+def test_light_estimation_finds_neither_light_nor_sun_for_a_figure_without_surroundings(data_dir: Path) -> None:
     """The lights that lit the figure are not in the capture; the error advises to specify a sun."""
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     beside = (-0.9, -1.3, 0.85)

@@ -107,7 +107,7 @@ def test_first_frame_of_a_prepared_renderer_compiles_no_kernels(
             assert launcher.launched <= loaded, f"{name}, {kind}"
 
 
-def test_rendering_a_capture_without_lights_loads_only_raster_kernels() -> None:
+def test_rendering_an_unlit_capture_loads_no_kernels_but_those_of_the_rasteriser() -> None:
     """The first frame does not wait for kernels of meshes, mirrors and lights, or of the CUDA schedule."""
     launcher = Recorder(parallel=False)
     Renderer(ls.RenderConfig(), launcher).render(ls.Scene([random_gaussians(3)]), front_camera(16, 16))

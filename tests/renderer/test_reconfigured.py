@@ -51,7 +51,7 @@ def images_of(renderer: ls.Renderer) -> list[np.ndarray]:
     return [np.array(getattr(frame, name)) for name in IMAGES]
 
 
-def test_reconfigured_renderer_equals_a_new_renderer() -> None:
+def test_frame_of_a_reconfigured_renderer_equals_that_of_a_new_renderer() -> None:
     """The bits are equal, there and back through settings of all pipelines."""
     renderer = ls.create_renderer(BASE, "cpu")
     expected: dict[str, list[np.ndarray]] = {}

@@ -256,7 +256,7 @@ def test_scene_file_mesh_entry_with_a_position_or_rotation_key_is_not_placed_on_
     np.testing.assert_array_equal(loaded(scene_file(tmp_path, keys)).meshes[0].transform, np.eye(4))
 
 
-def test_scene_file_mesh_entry_with_ground_false_stands_upright_at_its_own_height(tmp_path: Path) -> None:
+def test_scene_file_mesh_entry_with_ground_false_stands_upright_at_the_height_of_its_file(tmp_path: Path) -> None:
     """With ``ground = false``, the mesh stands upright about the origin of its file."""
     transform = loaded(scene_file(tmp_path, "ground = false")).meshes[0].transform
     np.testing.assert_allclose(transform, np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-12)

@@ -21,7 +21,9 @@ def pixel_of(camera: ls.Camera, point: np.ndarray) -> np.ndarray:
 
 
 @given(coordinates, coordinates)
-def test_camera_look_at_centres_the_target_with_up_upward(eye: tuple[float, ...], target: tuple[float, ...]) -> None:
+def test_camera_look_at_centres_its_target_and_shows_the_up_direction_upwards(
+    eye: tuple[float, ...], target: tuple[float, ...]
+) -> None:
     """Points above the target are higher in the image, and points to its right are further right."""
     offset = np.subtract(target, eye)
     distance = float(np.linalg.norm(offset))

@@ -184,7 +184,7 @@ def test_deep_shadow_map_is_equal_if_several_threads_sum_parts_of_a_caster_list(
         pytest.param(ls.LightDirectional((0.0, 0.0, 1.0)), id="sun", marks=pytest.mark.deep),
     ],
 )
-def test_culling_in_a_deep_shadow_map_keeps_shadows_seen_by_outer_receiver_samples_alone(light: Any) -> None:
+def test_culling_in_a_deep_shadow_map_keeps_shadows_that_reach_only_outer_samples(light: Any) -> None:
     """Only the outermost samples of a wide receiver reach the shadow of a small caster."""
     caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)
     rng = np.random.default_rng(0)
@@ -206,7 +206,7 @@ def test_culling_in_a_deep_shadow_map_keeps_shadows_seen_by_outer_receiver_sampl
 
 
 @pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
-def test_deep_shadow_map_computed_around_the_receivers_alone_equals_the_whole_map(
+def test_deep_shadow_map_computed_in_the_region_of_receivers_equals_the_whole_map(
     sampling: ls.config.ReceiverSampling,
 ) -> None:
     """Results agree to rounding, because bins are summed from the begin of their column."""

@@ -50,7 +50,7 @@ def test_image_comparison_fails_for_different_shapes(image: np.ndarray) -> None:
         assert_close(image[:1], image, atol=1.0)
 
 
-def test_comparison_outside_a_band_tolerates_errors_only_inside_the_band(image: np.ndarray) -> None:
+def test_image_comparison_outside_a_band_tolerates_errors_in_the_band_and_no_others(image: np.ndarray) -> None:
     """A wrong pixel inside the band passes up to the band's own tolerance; outside, the same error fails."""
     band = np.zeros((20, 30), bool)
     band[7, 8] = True
@@ -63,7 +63,7 @@ def test_comparison_outside_a_band_tolerates_errors_only_inside_the_band(image: 
         assert_close_outside_band(wrong, image, np.roll(band, 1), atol=1e-6, band_atol=0.2)
 
 
-def test_comparison_outside_a_band_fails_if_the_band_covers_the_image(image: np.ndarray) -> None:
+def test_image_comparison_outside_a_band_fails_if_the_band_covers_the_image(image: np.ndarray) -> None:
     """A band that covers most of the image fails, since the comparison would prove nothing."""
     with pytest.raises(AssertionError, match="too many"):
         assert_close_outside_band(image, image, np.ones((20, 30), bool), atol=1.0)

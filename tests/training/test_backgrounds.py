@@ -39,7 +39,7 @@ def error_of_alpha(config: ls.TrainConfig) -> float:
     return float(np.mean(errors))
 
 
-def test_training_learns_alpha_of_background_coloured_objects_by_alpha_loss_or_backgrounds() -> None:
+def test_alpha_of_objects_coloured_like_the_background_is_learnt_by_alpha_loss_or_random_backgrounds() -> None:
     """Gaussians in the colour of the background leave no trace in the colour loss."""
     config = ls.TrainConfig(iterations=300, cap=100, initial=100, sh_degree=0, alpha=0.0)
     nothing = error_of_alpha(config)

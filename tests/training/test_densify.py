@@ -103,7 +103,7 @@ def test_densification_clones_small_gaussians_of_large_gradient_and_splits_large
     assert strongest.count == 5, "there are more Gaussians than the cap"
 
 
-def test_densification_clones_or_splits_gaussians_of_large_gradient_by_their_normal() -> None:
+def test_densification_clones_or_splits_gaussians_whose_normal_has_a_large_gradient() -> None:
     """Normal gradients count only with ``grow_turn``; at the cap, the largest excess over a threshold comes first."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))

@@ -163,7 +163,7 @@ def test_densification_statistics_of_normals_match_central_differences() -> None
     )
 
 
-def test_flatness_loss_has_gradients_for_smallest_scales_of_drawn_gaussians_alone() -> None:
+def test_flatness_loss_has_a_gradient_for_the_smallest_scale_of_each_drawn_gaussian() -> None:
     """A Gaussian behind the camera is not drawn and gets no gradient."""
     one = started(flatness=FLATNESS)
     _, found = found_by(one)

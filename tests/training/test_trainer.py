@@ -153,7 +153,7 @@ def flipped(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(changed)
 
 
-def test_checkpoints_of_other_trainings_or_with_damage_are_refused(tmp_path: Path) -> None:
+def test_checkpoints_that_are_damaged_or_of_another_training_are_refused(tmp_path: Path) -> None:
     """Other settings, other images and damage are each reported in one line."""
     folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20)

@@ -457,7 +457,7 @@ def test_editing_the_direction_of_a_light_replaces_its_target(number: int) -> No
     np.testing.assert_allclose(getattr(light, name), value, atol=1e-9)
 
 
-def test_dragging_a_slider_is_one_undo_step_and_each_choice_is_its_own() -> None:
+def test_dragging_a_slider_is_one_undo_step_and_each_choice_is_a_step_by_itself() -> None:
     """Dragging a slider is one undo step; choosing two pipelines is two steps."""
     session = Session(Options())
     session.open(State(document()))

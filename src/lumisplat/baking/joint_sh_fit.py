@@ -322,8 +322,7 @@ class JointShFit:
         return begins, ends, base
 
     def _displayed(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
-        """Tone-maps the radiance ``light`` of rays to display-referred colours; also returns the mean noise variance.
-        """
+        """Tone-maps radiance ``light`` of rays to display-referred colours; also returns the mean noise variance."""
 
         def displayed(light: Doubles) -> Doubles:
             nothing = np.zeros_like(light)

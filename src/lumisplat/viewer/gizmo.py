@@ -23,35 +23,47 @@ if TYPE_CHECKING:
 Matrix = npt.NDArray[np.float64]
 
 _NODE = "/selected {}"
-"""Scene node of a gizmo. Each gizmo gets a new number, because pages keep the rotation of a removed node by its name.
+"""Name of a gizmo's node in viser's scene. Each gizmo gets a new number, because pages keep the rotation of a removed
+node under its name.
 """
 _SIZE = 0.09
-"""Length of the gizmo's axes as a fraction of the scene size; larger objects get longer axes."""
+"""Smallest length of the gizmo's axes, as a fraction of the scene size; for large objects they reach beyond the
+object."""
 
 
 @dataclass(frozen=True)
 class GizmoPose:
-    """Pose of the gizmo for an object, and the kinds of change that the gizmo offers."""
+    """Position and rotation of the gizmo of a scene entry, and whether it can rotate the entry."""
 
     world_from_gizmo: Matrix
-    """Rotation and translation, shape (4, 4)."""
+    """Transform from gizmo axes to world space without scale, shape (4, 4), scene units."""
     can_rotate: bool = True
 
 
 @dataclass(frozen=True)
 class Drag:
-    """State of a scene entry at the start of a drag."""
+    """What a gizmo drag started from: the scene entry, the gizmo's transform and the animation time."""
 
     entry: ls.io.SceneEntry
-    """Entry as it was when the drag began."""
+    """Scene entry as it was before the drag."""
     start: Matrix
-    """``world_from_gizmo`` when the drag began."""
+    """Transform ``world_from_gizmo`` before the drag, shape (4, 4)."""
     time: float = 0.0
-    """Animation time, seconds."""
+    """Animation time at which the entry is dragged, seconds."""
 
 
 def gizmo_pose(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> GizmoPose | None:
-    """Returns the gizmo's pose: at an object's centre or a light's position. None for environments or empty entries."""
+    """Returns where to show the gizmo of an entry: a light's position, else the centre of the bounding box.
+
+    Args:
+        entry: The selected entry.
+        box: Bounding box of the entry, file coordinates; None for lights and empty entries.
+        extent: Centre and size of the scene; the gizmo of a sun lies on the dome around it.
+        time: Animation time, seconds.
+
+    Returns:
+        The pose; None for environments and empty entries, which have no gizmo.
+    """
     if entry.kind in ("lights", "environment"):
         return _light_gizmo_pose(entry.lights[0], extent)
     pose = pose_of(entry, time)
@@ -82,13 +94,13 @@ def _light_gizmo_pose(light: Any, extent: Extent) -> GizmoPose | None:
 def with_moved_entry(
     document: ls.io.SceneDocument, entry: ls.io.SceneEntry, move: Matrix, time: float
 ) -> ls.io.SceneDocument:
-    """Returns the document with a capture, mesh or actor transformed in world space.
+    """Returns the document with a capture, mesh or actor moved so that ``move`` applies to it in world space.
 
     Args:
         document: The scene document.
         entry: Entry to move.
         move: World-space transform to apply, shape (4, 4).
-        time: Animation time at which the transform applies, seconds.
+        time: Animation time, seconds, at which an animated actor is moved by exactly ``move``.
 
     Raises:
         SceneError: The entry has been removed.
@@ -100,13 +112,15 @@ def with_moved_entry(
 
 
 def with_dragged_entry(document: ls.io.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.io.SceneDocument:
-    """Returns the document with an entry moved like its gizmo. An animated actor is moved with its whole motion.
+    """Returns the document with an entry moved and rotated as the gizmo was since the drag began.
+
+    An animated actor is moved with its whole motion. A sun is aimed from the gizmo at the centre of the scene.
 
     Args:
         document: Current document, which may have changed since the drag began.
         drag: State when the drag began.
         now: Current ``world_from_gizmo``, shape (4, 4).
-        extent: Scene extent.
+        extent: Centre and size of the scene.
 
     Raises:
         FormatError: The new position is invalid for the entry.
@@ -135,7 +149,7 @@ def _listed(vector: Any) -> list[float]:
 
 
 def _rotation_to(direction: npt.ArrayLike) -> Matrix:
-    """Returns a rotation whose z axis is the given direction."""
+    """Returns a 4 x 4 rotation whose z axis points along the given direction; the roll about it is arbitrary."""
     z = np.asarray(direction, np.float64) / np.linalg.norm(np.asarray(direction))
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
     x /= np.linalg.norm(x)
@@ -143,7 +157,7 @@ def _rotation_to(direction: npt.ArrayLike) -> Matrix:
 
 
 def _rotation_of_edges(edge_u: npt.ArrayLike, edge_v: npt.ArrayLike) -> Matrix:
-    """Returns a rotation with x along the first edge of a rectangle light and z along its emission direction."""
+    """Returns a 4 x 4 rotation with x along the first edge of a rectangle light, z along its emission direction."""
     x = np.asarray(edge_u, np.float64)
     z = np.cross(x, np.asarray(edge_v, np.float64))
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
@@ -162,9 +176,9 @@ class Gizmo:
         self._api, self._session = scene_api, session
         self._handle: viser.TransformControlsHandle | None = None
         self._handles = 0
-        """Number of gizmos created so far."""
+        """Number of gizmos created so far, which numbers their scene nodes."""
         self._attached: tuple[int, GizmoPose] | None = None
-        """Id of the entry that has the gizmo, and the gizmo's pose; None without a gizmo."""
+        """Id of the entry that the gizmo is shown for, and the gizmo's pose; None while no gizmo is shown."""
         self._drag: Drag | None = None
         self._dragged_at = 0.0
         session.on_change(self.follow)
@@ -175,7 +189,7 @@ class Gizmo:
         return _NODE.format(self._handles)
 
     def follow(self) -> None:
-        """Moves the gizmo to the selected entry, unless a drag of that entry is in progress."""
+        """Shows the gizmo at the selected entry, or removes it; does nothing while that entry is being dragged."""
         with self._session.changed:
             is_dragged = self._drag is not None and self._drag.entry.id == self._session.selected
             if is_dragged and time.monotonic() - self._dragged_at < DRAG_ENDS_S:
@@ -224,13 +238,13 @@ class Gizmo:
             self._end(pose)
 
     def _begin(self) -> None:
-        """Starts a drag."""
+        """Starts a drag of the selected entry, as an edit that is undone separately from earlier drags."""
         with self._session.changed:
             self._session.end_merge()
             self._drag, self._dragged_at = self._new_drag(), time.monotonic()
 
     def _move(self, pose: Matrix) -> None:
-        """Moves the entry to the gizmo of a page; ``pose`` is ``world_from_gizmo`` in page units."""
+        """Moves the dragged entry to a gizmo transform that a page reports, shape (4, 4), in page units."""
         with self._session.changed:
             drag = self._drag or self._new_drag()
             if drag is None or all(entry.id != drag.entry.id for entry in self._session.state.document.entries):
@@ -256,7 +270,7 @@ class Gizmo:
             self.follow()
 
     def _axis_length(self, entry: ls.io.SceneEntry) -> float:
-        """Returns the length of the gizmo's axes, scene units: they extend beyond the bounding box of an entry."""
+        """Returns 0.6 times the longest side of an entry's bounding box, scene units; 0 for lights."""
         size = self._session.boxes.size(entry, self._session.options.time)
         return 0.0 if size is None else 0.6 * float(np.max(size))
 

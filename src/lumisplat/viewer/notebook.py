@@ -1,4 +1,4 @@
-"""Shows a viewer in a notebook cell: live frames with mouse control, else an image, and a text."""
+"""Shows a viewer in a notebook cell: live frames with mouse control where possible, else a still image or text."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ from lumisplat.viewer.session import Session
 from lumisplat.viewer.thresholds import ANSWER_S
 
 ELEVATION_MAX = math.radians(89.0)
-"""Largest angle between the view direction and the ground, radians; the up direction is ambiguous at the poles."""
+"""Largest angle of the view direction above or below the horizon, radians; at 90 degrees the roll would be undefined.
+"""
 
 _Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """Camera that orbits a target; lengths in scene units."""
+    """Camera that looks at a target from a distance and rotates about it; lengths in scene units."""
 
     target: Vector
     """World position at the centre of the image."""
@@ -63,11 +64,11 @@ class Orbit:
         return math.asin(min(max(float(np.dot(self.backward, self.up)), -1.0), 1.0))
 
     def rotated(self, around: float, above: float) -> Orbit:
-        """Returns the camera rotated about its target.
+        """Returns the camera moved on a sphere about its target.
 
         Args:
-            around: Rotation to the right about the vertical, radians.
-            above: Upward rotation, radians; clamped short of the poles.
+            around: Angle by which the eye moves about the vertical, to the right seen from the eye, radians.
+            above: Angle by which the eye rises, radians; the elevation is clamped to +-`ELEVATION_MAX`.
         """
         up = np.array(self.up)
         level = self._level_backward()
@@ -76,23 +77,23 @@ class Orbit:
         return replace(self, backward=_vector(math.cos(elevation) * level + math.sin(elevation) * up))
 
     def panned(self, across: float, down: float) -> Orbit:
-        """Returns the camera moved together with its target, so that the target follows the pointer.
+        """Returns the camera moved with its target, parallel to the image, so that the scene follows the pointer.
 
         Args:
-            across: Shift of the target to the right, as a fraction of the image height.
-            down: Shift of the target downward, as a fraction of the image height.
+            across: Shift of the image content to the right, as a fraction of the image height.
+            down: Shift of the image content downward, as a fraction of the image height.
         """
         height = 2.0 * self.distance * math.tan(0.5 * self.fov_y)
         right, downwards, _ = self.pose(1.0).camera(2).camera_from_world[:3, :3]
         return replace(self, target=_vector(np.array(self.target) - height * (across * right + down * downwards)))
 
     def zoomed(self, factor: float, nearest: float, farthest: float) -> Orbit:
-        """Returns the camera at another distance from its target.
+        """Returns the camera with its distance to the target multiplied by a factor and clamped.
 
         Args:
-            factor: Factor of the distance.
-            nearest: Smallest distance.
-            farthest: Largest distance.
+            factor: Factor of the distance; less than 1 zooms in.
+            nearest: Smallest distance, scene units.
+            farthest: Largest distance, scene units.
         """
         return replace(self, distance=min(max(factor * self.distance, nearest), farthest))
 
@@ -102,7 +103,7 @@ class Orbit:
         return replace(Pose.through(camera, self.distance), aspect=aspect)
 
     def _level_backward(self) -> _Array:
-        """Returns the horizontal unit vector toward the eye; an arbitrary one if the eye is right above the target."""
+        """Returns the horizontal unit vector from the target toward the eye; arbitrary if the eye is straight above."""
         up, backward = np.array(self.up), np.array(self.backward)
         for direction in (backward, np.eye(3)[np.abs(up).argmin()]):
             level = direction - float(direction @ up) * up
@@ -122,20 +123,20 @@ def _vector(array: npt.ArrayLike) -> Vector:
 
 
 _ROTATION_PER_HEIGHT = 2.0 * math.pi
-"""Rotation while the pointer crosses the frame height, radians."""
+"""Angle by which the camera orbits when the pointer is dragged across the frame's height, radians."""
 _ZOOM = 0.0015
-"""Logarithm of the distance factor per wheel unit; one notch is 100 units."""
+"""Zoom speed of the mouse wheel: the camera distance is multiplied by ``exp(_ZOOM * dy)``; one notch is a dy of 100."""
 _CLICK_PIXELS = 4.0
 """Longest pointer path between press and release that still counts as a click, pixels."""
 _LEFT = 1
 
 
 class PointerControl:
-    """Moves an orbit camera by the pointer events of one cell, in the format of jupyter_rfb.
+    """Moves an orbit camera by the mouse events of one notebook cell: drags orbit or pan, the wheel zooms.
 
     Args:
         orbit: Camera at the start.
-        size: Scene size, which limits how near and far the camera can go.
+        size: Scene size, scene units; the camera distance stays within 1e-4 to 1e3 times this size.
         width: Frame width, page pixels.
         height: Frame height, page pixels.
     """
@@ -153,10 +154,10 @@ class PointerControl:
         return self._width / self._height
 
     def handle(self, event: Mapping[str, Any]) -> tuple[float, float] | None:
-        """Processes an event and moves the camera.
+        """Moves the camera by a mouse event, and recognises clicks.
 
         Args:
-            event: Event of jupyter_rfb.
+            event: Event of jupyter_rfb, a dictionary with ``type``, ``x`` and ``y``.
 
         Returns:
             The clicked point as fractions of width and height, from the upper left; None if the event is not a click.
@@ -194,18 +195,18 @@ class PointerControl:
 _log = logging.getLogger("lumisplat")
 
 Bundle = tuple[dict[str, Any], dict[str, Any]]
-"""Representations of an object by MIME type, and metadata by MIME type."""
+"""Result of IPython's ``_repr_mimebundle_``: an object's representations and their metadata, each by MIME type."""
 
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _TEXT = "text/plain"
 _FRAME_S = 60.0
-"""Longest wait of a cell for its first frame, seconds; kernels may have to compile."""
+"""Longest time that displaying a viewer waits for the first frame, seconds; kernels may have to compile."""
 _SAMPLES_S = 2.0
-"""Time during which a still image accumulates samples, seconds."""
+"""Time for which a still image for a notebook accumulates samples after its first full frame, seconds."""
 
 
 class Notebook:
-    """Shows a session in notebook cells.
+    """Represents a viewer in notebook cells, as live frames, a still image or text.
 
     Args:
         session: Session to show.
@@ -257,7 +258,7 @@ class Notebook:
             self._cell.close()
 
     def _live(self, orbit: Orbit) -> Cell | None:
-        """Returns the live cell; None if nobody can interact with it or a package is missing, which is logged once."""
+        """Returns the widget with live frames; None in a kernel without a user or without jupyter_rfb (logged once)."""
         if not has_interactive_user():
             return None
         if self._cell is None or not self._cell.page.is_open:
@@ -281,9 +282,9 @@ class Notebook:
             self._loop.remove(page)
 
     def _first_frame(self, page: Page, samples_s: float) -> ls.Frame | None:
-        """Returns the frame of the notebook's page, after waiting for it if there is none.
+        """Returns the latest frame of the notebook's page; if there is none yet, waits for one.
 
-        The wait lasts until the first full frame, and then ``samples_s`` seconds more, in which samples accumulate.
+        Waits at most `_FRAME_S` seconds for the first full frame, then at most ``samples_s`` seconds for more samples.
         """
         if page.frame is None:
             self._wait(lambda: page.frames_at_rest > 0 or page.is_finished, _FRAME_S)
@@ -297,7 +298,7 @@ class Notebook:
 
 
 class _NullScreen:
-    """A screen that discards images, for a page whose frame is read directly."""
+    """Screen that discards images, for a page whose frames are read from `Page.frame` instead of being displayed."""
 
     def show(self, shown: ScreenImage) -> None:
         """Returns at once."""
@@ -341,7 +342,7 @@ class Cell:
         loop.add(self.page)
 
     def notify(self, note: str) -> None:
-        """Shows a note in the text line, next to the address if the page is open."""
+        """Shows a note, such as the name of a clicked object, in the text line, beside the address of an open page."""
         link = _LINK.format(html.escape(self._url)) if self.page.is_open else ""
         self._line.value = " · ".join(part for part in (link, html.escape(note)) if part)
 
@@ -410,9 +411,9 @@ def frame_buffer(width: int, height: int, on_event: Callable[[dict[str, Any]], N
 
 
 class CellScreen:
-    """Sends images to a notebook widget, which acknowledges each image that it has drawn.
+    """Sends images to a notebook widget, and waits until the widget acknowledges that it has drawn each.
 
-    A kernel that is running a cell receives no acknowledgements; images are then sent every `ANSWER_S` seconds.
+    While the kernel runs a cell, acknowledgements do not arrive; each wait then ends after `ANSWER_S` seconds.
 
     Args:
         buffer: Widget of `frame_buffer`; only this screen may send frames to it.
@@ -433,7 +434,7 @@ class CellScreen:
         self._is_there.wait(ANSWER_S)
 
     def close(self) -> None:
-        """Ends a wait in `show`."""
+        """Makes a `show` that waits in another thread return."""
         self._is_there.set()
 
     def _on_answer(self, change: Any) -> None:
@@ -442,7 +443,7 @@ class CellScreen:
 
 
 def has_interactive_user() -> bool:
-    """True if a user can interact with a widget. Programs such as nbconvert run a kernel that accepts no input."""
+    """True in a notebook kernel whose front end accepts input; False without a kernel or in tools like nbconvert."""
     kernel = getattr(_shell(), "kernel", None)
     if kernel is None:
         return False
@@ -450,7 +451,7 @@ def has_interactive_user() -> bool:
 
 
 def can_show_images() -> bool:
-    """True if the front end can display images, which a terminal cannot. True outside IPython."""
+    """True if IPython's front end displays PNG images, as notebooks do and terminals do not; True without IPython."""
     shell = _shell()
     return shell is None or "image/png" in shell.display_formatter.active_types
 

@@ -18,12 +18,12 @@ from lumisplat.viewer.scene_extent import pose_of, world_corners
 from lumisplat.viewer.session import Session
 
 _LIGHT_SIZE = 0.03
-"""Size of the marks of point-like lights, as a fraction of the scene size."""
+"""Size of the symbol drawn for a point or spot light, as a fraction of the scene size."""
 _POINT_SIZE = 0.008
-"""Size of the marks of clicked points, as a fraction of the scene size."""
+"""Radius of the mark at each clicked ground point, as a fraction of the scene size."""
 _INSETS = ("depth", "normal")
 _INSET_SHARE = 0.22
-"""Height of an inset as a fraction of the image height."""
+"""Height of the depth and normal insets as a fraction of the image height."""
 _INSET_GAP = 8
 _INSET_FRAME = (110, 110, 110)
 
@@ -45,7 +45,7 @@ def with_overlays(picture: Picture, frame: ls.Frame, session: Session) -> Pictur
 
 
 def _outlines(session: Session) -> list[Outline]:
-    """Returns the outlines of all lights and of the selected object."""
+    """Returns the outlines of visible lights, the dome of a selected sun, and the selected object's bounding box."""
     document, size = session.state.document, _LIGHT_SIZE * session.extent.size
     lights = [entry for entry in document.entries if entry.kind == "lights" and not entry.hidden]
     found = [light_outline(entry.lights[0], size, is_selected=entry.id == session.selected) for entry in lights]
@@ -57,7 +57,7 @@ def _outlines(session: Session) -> list[Outline]:
 
 
 def _selection(session: Session) -> list[Outline]:
-    """Returns the bounding box of the selected object, as a list of at most one outline."""
+    """Returns the selected object's bounding box as a list of one outline; an empty list if there is no box."""
     entry, time = session.selected_entry, session.options.time
     if entry is None or entry.hidden:
         return []
@@ -66,13 +66,13 @@ def _selection(session: Session) -> list[Outline]:
 
 
 def _grid(session: Session) -> Outline:
-    """Returns the ground grid, perpendicular to up at the lowest point of the scene."""
+    """Returns a grid on the ground plane: perpendicular to the up direction, through the scene's lowest point."""
     extent, up = session.extent, np.array(session.scene.up_direction)
     return grid_outline(np.array(extent.center) - extent.height_below * up, up, 1.5 * extent.size)
 
 
 def with_insets(picture: Picture, frame: ls.Frame) -> Picture:
-    """Returns an image with framed insets of depth and normals in the lower left corner, away from the panel."""
+    """Returns an image with small framed images of depth and normals in its lower left corner."""
     height, width = picture.shape[:2]
     rows, columns = round(_INSET_SHARE * height), round(_INSET_SHARE * width)
     image = Image.fromarray(picture)
@@ -84,15 +84,15 @@ def with_insets(picture: Picture, frame: ls.Frame) -> Picture:
 
 
 Points = npt.NDArray[np.float64]
-"""World positions along a line, shape (N, 3)."""
+"""World positions of the corners of a polyline, shape (N, 3)."""
 
 _CIRCLE = 48
 _PIECES = 24
-"""Number of segments of a straight line; each segment is visible or hidden as a whole."""
+"""Number of segments into which a straight line is divided; each is drawn as visible or as hidden."""
 _HIDDEN_STRENGTH = 0.3
-"""Opacity of line segments behind a surface."""
+"""Opacity of outline segments that lie behind a surface of the frame."""
 _FARTHEST_PX = 1e5
-"""Largest pixel coordinate of a line end; segments beyond it are not drawn."""
+"""Largest absolute pixel coordinate of a segment's ends; a segment with an end farther outside is not drawn."""
 _SELECTED = (255, 176, 32)
 _OTHERS = (150, 150, 150)
 _GRID = (90, 110, 130)
@@ -100,7 +100,7 @@ _GRID = (90, 110, 130)
 
 @dataclass(frozen=True)
 class Outline:
-    """Lines of one object, with their colour."""
+    """Polylines in world space that outline one object, and their colour."""
 
     lines: tuple[Points, ...]
     color: tuple[int, int, int]
@@ -111,8 +111,8 @@ def light_outline(light: Any, size: float, *, is_selected: bool) -> Outline | No
 
     Args:
         light: The light.
-        size: Size of the mark of a point-like light, scene units.
-        is_selected: True draws the cone and the range too; False draws only position and size.
+        size: Size of the symbol of a light without an area, scene units.
+        is_selected: True also draws the spot cone and the range; False draws only position and area.
     """
     color = _SELECTED if is_selected else _OTHERS
     match light:
@@ -193,7 +193,7 @@ def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outli
 def draw_outlines(
     picture: npt.NDArray[np.uint8], frame: ls.Frame, outlines: Sequence[Outline]
 ) -> npt.NDArray[np.uint8]:
-    """Draws outlines on the image of a frame, dimmed behind surfaces. The image may be larger than the frame."""
+    """Returns an image of a frame with outlines drawn on it, fainter behind surfaces; the image may be enlarged."""
     if not outlines:
         return picture
     image, scale = Image.fromarray(picture), len(picture) / frame.camera.height
@@ -209,9 +209,9 @@ def draw_outlines(
 
 
 def _split_by_visibility(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Points, Points]:
-    """Projects lines to the image and divides them into hidden and visible segments.
+    """Projects polylines to the image, and divides their segments into hidden and visible ones.
 
-    Each result has N segments as end points in pixels, x0, y0, x1, y1, shape (N, 4).
+    Returns the hidden, then the visible segments: end points in pixels (x0, y0, x1, y1), shape (N, 4) for N segments.
     """
     camera, points = frame.camera, np.concatenate(lines)
     local = points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
@@ -226,7 +226,13 @@ def _split_by_visibility(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Poin
 
 
 def _is_visible(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[np.bool_]:
-    """Returns True for each point that no surface of the frame occludes."""
+    """True for each point that is no farther from the camera than the frame's surface in its pixel.
+
+    Args:
+        frame: The frame, with its distance image ``depth``.
+        pixels: Image coordinates of N points, shape (N, 2).
+        distances: Distances of the points from the camera, scene units, shape (N,).
+    """
     height, width = frame.alpha.shape
     x = np.clip(pixels[:, 0], 0, width - 1).astype(int)
     y = np.clip(pixels[:, 1], 0, height - 1).astype(int)
@@ -263,9 +269,9 @@ def _wire_sphere(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
 
 
 def _cone_lines(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
-    """Returns lines of a spot light's cones: the whole outer cone, and a circle of the inner cone.
+    """Returns the outline of a spot light: the outer cone's edges, and the circle at the end of the inner cone.
 
-    The cone is as long as the light's range; without a range, six mark sizes.
+    The cone is as long as the light's range; without a range, six times ``size``, the symbol size of lights.
     """
     length = light.range if math.isfinite(light.range) else 6.0 * size
     position, along = np.array(light.position), np.array(light.direction)
@@ -282,7 +288,7 @@ def _cone_lines(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
 
 
 def _area_light_lines(light: Any) -> tuple[Points, ...]:
-    """Returns the boundary of an area light and its normal."""
+    """Returns an area light's boundary and a line from its centre along the emission direction."""
     corners, normal, center = light.boundary(), light.area_vector, np.array(light.position)
     normal = 0.25 * normal / math.sqrt(np.linalg.norm(normal))
     pieces = max(1, 4 * _PIECES // len(corners))

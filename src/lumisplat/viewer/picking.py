@@ -1,4 +1,4 @@
-"""Picks the object at a point of a page from the AOVs of its last frame, without tracing rays."""
+"""Finds the object at a clicked point of a page in the AOVs of the page's last frame, without tracing rays."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from lumisplat.viewer.session import Session
 
 @dataclass(frozen=True)
 class Pick:
-    """The visible surface at a point of a page."""
+    """Surface that is visible at a clicked point of a frame."""
 
     instance: int
     """Index of the instance in the scene: captures first, then meshes."""
     gaussian: int
     """Index of the Gaussian within its capture; -1 for a mesh."""
     depth: float
-    """Distance from the camera, scene units."""
+    """Distance from the camera to the surface along the ray, scene units."""
     position: npt.NDArray[np.float64]
-    """World position, shape (3,)."""
+    """World position of the surface, shape (3,)."""
 
 
 def picked(frame: ls.Frame, across: float, down: float) -> Pick | None:
@@ -43,14 +43,15 @@ def picked(frame: ls.Frame, across: float, down: float) -> Pick | None:
 
 
 def select(session: Session, frame: ls.Frame, across: float, down: float, *, is_level: bool) -> tuple[str, str] | None:
-    """Selects the entry at a point of a frame, or clears the selection if no surface is there.
+    """Selects the scene entry that is visible at a point of a frame; clears the selection if no surface is there.
 
     Args:
         session: Session whose selection changes.
         frame: Last frame of the page, as in `picked`.
         across: Horizontal position, as in `picked`.
         down: Vertical position, as in `picked`.
-        is_level: True if the frame may show a reduced level of detail, whose Gaussians have other indices.
+        is_level: True if the frame may show a reduced level of detail, where indices of Gaussians do not refer to the
+            file; the description then leaves the index out.
 
     Returns:
         Name of the entry and a description of the point; None if nothing was selected.

@@ -1,4 +1,4 @@
-"""Measures the scene and its objects: bulk, ground, bounding boxes, and the scale between scene and page units."""
+"""Measures the scene and its entries: bounding boxes without stray Gaussians, ground height, and page units."""
 
 from __future__ import annotations
 
@@ -15,18 +15,22 @@ import lumisplat as ls
 Vector = tuple[float, float, float]
 
 PAGE_SIZES = (0.3, 30.0)
-"""Range of scene diagonals, in page units, that need no rescaling; the depth range of a page ends at 167 units."""
+"""Smallest and largest scene diagonal, scene units, that pages show without rescaling; other scenes are scaled by a
+power of ten, because the depth range of a page ends at 167 units."""
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Bounding box of a scene's bulk, measured when the scene is opened; only the ground is updated when up changes."""
+    """Centre, size and ground height of a scene without stray Gaussians, measured when the scene is opened.
+
+    Only the ground height is measured again when the up direction changes.
+    """
 
     center: Vector = (0.0, 0.0, 0.0)
     size: float = 1.0
-    """Diagonal of the bulk, scene units, > 0."""
+    """Diagonal of the scene's bounding box without stray Gaussians, scene units, > 0."""
     height_below: float = 0.5
-    """Distance from the centre down to the ground, scene units."""
+    """Distance from the centre of the bounding box down to the ground, scene units."""
 
     @classmethod
     def of(cls, scene: ls.Scene) -> Extent:
@@ -39,7 +43,7 @@ class Extent:
         return cls((x, y, z), size if 1e-6 < size < math.inf else 1.0).with_ground(scene)
 
     def with_ground(self, scene: ls.Scene) -> Extent:
-        """Returns the extent with the ground of a scene, perpendicular to its up direction."""
+        """Returns the extent with ``height_below`` measured to the lowest point of a scene along its up direction."""
         instances, up = (*scene.splats, *scene.meshes), np.array(scene.up_direction)
         if not instances:
             return self
@@ -48,29 +52,29 @@ class Extent:
 
     @property
     def page_from_scene(self) -> float:
-        """Page units per scene unit, a power of ten; 1 for most scenes."""
+        """Factor from scene units to units of the browser page, a power of ten; 1 for scenes within `PAGE_SIZES`."""
         low, high = PAGE_SIZES
         return 1.0 if low <= self.size <= high else 10.0 ** -round(math.log10(self.size / 3.0))
 
     @property
     def dome_radius(self) -> float:
-        """Radius of the dome on which suns are dragged, scene units. The dome is in view when the whole scene is."""
+        """Radius of the dome on which the gizmos of suns are dragged, 0.35 times the scene diagonal, scene units."""
         return 0.35 * self.size
 
 
 def lowest_height(instance: ls.SplatInstance | ls.MeshInstance, up: Vector) -> float:
-    """Returns the height of an instance's lowest point along up, ignoring stray Gaussians below a capture."""
+    """Returns the height of an instance's lowest point, its dot product with ``up``; ignores stray Gaussians below."""
     stood: Any = ls.stand_on_ground(cast(Any, instance), 0.0, up=up)
     return float(np.array(up) @ (instance.transform[:3, 3] - stood.transform[:3, 3]))
 
 
 Array = npt.NDArray[np.float64]
 Box = tuple[Array, Array]
-"""Lowest and highest corner, shape (3,) each."""
+"""Lowest and highest corner of an axis-aligned box, shape (3,) each."""
 
 
 def pose_of(entry: ls.io.SceneEntry, time: float) -> Array | None:
-    """Returns an entry's world-from-file similarity at a time in seconds, shape (4, 4); None for lights."""
+    """Returns the 4 x 4 similarity from an entry's file to the world at a time in seconds; None for lights."""
     if entry.world_from_file is None:
         return None
     placed, actor = np.asarray(entry.world_from_file, np.float64), entry.actor
@@ -78,14 +82,16 @@ def pose_of(entry: ls.io.SceneEntry, time: float) -> Array | None:
 
 
 class BoxCache:
-    """Caches the bounding boxes of entries."""
+    """Computes bounding boxes of scene entries, and measures an entry again only if its assets have changed."""
 
     def __init__(self) -> None:
         self._cached: dict[int, tuple[tuple[object, ...], Box]] = {}
-        """Measured assets of an entry and their bounding box, by entry id."""
+        """Bounding box by entry id, with the captures or meshes that were measured."""
 
     def of(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Box | None:
-        """Returns the box around the bulk of an entry at a time in seconds, in file coordinates; None for lights.
+        """Returns an entry's bounding box at a time in seconds, in file coordinates and without stray Gaussians.
+
+        Returns None for lights and entries without instances.
 
         Raises:
             FormatError: A frame of an actor cannot be read.
@@ -101,12 +107,12 @@ class BoxCache:
         return held[1]
 
     def prune(self, document: ls.io.SceneDocument) -> None:
-        """Drops the boxes and assets of entries that a document does not contain."""
+        """Forgets the boxes of entries that a document no longer contains, which frees their captures and meshes."""
         present = {entry.id for entry in document.entries}
         self._cached = {number: held for number, held in self._cached.items() if number in present}
 
     def size(self, entry: ls.io.SceneEntry, time: float = 0.0) -> Array | None:
-        """Returns the side lengths of an entry's box along its own axes, scene units, shape (3,); None for lights."""
+        """Returns side lengths of an entry's bounding box along its own axes, scene units, (3,); None for lights."""
         box, pose = self.of(entry, time), pose_of(entry, time)
         return None if box is None or pose is None else scale_of(pose) * (box[1] - box[0])
 
@@ -126,7 +132,7 @@ def world_corners(box: Box, pose: Array) -> Array:
 
 
 def _bulk_box(instances: Sequence[ls.SplatInstance | ls.MeshInstance], file_from_world: Array) -> Box:
-    """Returns the box around the bulk of instances, in file coordinates."""
+    """Returns the box around an entry's instances in file coordinates, without stray Gaussians (2 % at each end)."""
 
     def in_file(instance: Any) -> Any:
         return replace(instance, world_from_object=file_from_world @ instance.transform)

@@ -20,18 +20,18 @@ _SORTED = "Projection unscented works only with strategy sorted."
 _ISO = "Projection unscented works only with surface iso."
 _UNSCENTED = "Unscented works only with the pipelines raster and hybrid, strategy sorted and surface iso."
 _BOUNCE_VIEWS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy")
-"""Views that only pipelines with indirect light have."""
+"""AOV views that only pipelines that trace indirect light can render."""
 _REALTIME_VIEWS = ("motion", "history", "probes", "cache", "cache_cells")
-"""Views of data that realtime frames reuse in later frames."""
+"""AOV views of data that the realtime pipeline carries from frame to frame, such as motion vectors and probes."""
 _LIT_VIEWS = ("shadow", "emission", *_BOUNCE_VIEWS, *_REALTIME_VIEWS)
 
 
 def available_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
-    """Returns the views that a page can show: ``color`` and the entries of `lumisplat.Frame.VIEWS` that frames have.
+    """Returns the names of views that a page can show: ``color``, and the AOVs in `Frame.VIEWS` that frames contain.
 
     Args:
-        config: Render settings.
-        lit: True if frames are lit.
+        config: Render settings; they decide which AOVs a frame has.
+        lit: True if lights affect frames; False if captures are shown as captured.
     """
     lacking: set[str] = set()
     if not lit:
@@ -46,19 +46,22 @@ def available_views(config: ls.RenderConfig, *, lit: bool) -> tuple[str, ...]:
 
 
 def unused_settings(config: ls.RenderConfig, *, lit: bool) -> dict[str, str]:
-    """Returns the settings, and groups of settings, that do not affect frames, each with the reason.
+    """Returns the reason for each render setting, or group of settings, that has no effect or cannot be changed now.
 
-    A reason names the change that would give the setting an effect.
+    Keys are names such as ``raster.strategy``. A reason says which other setting to change first.
 
     Args:
         config: Render settings.
-        lit: True if frames are lit.
+        lit: True if lights affect frames; False if captures are shown as captured.
     """
     return config.unused_settings(lit=lit) | _excluded(config)
 
 
 def _excluded(config: ls.RenderConfig) -> dict[str, str]:
-    """Returns settings that cannot change while other settings keep their values, each with the reason."""
+    """Returns the ``raster`` settings that the current projection, strategy or surface locks, each with the reason.
+
+    The unscented projection excludes sorted rasterisation and iso-surfaces, and each of these excludes it.
+    """
     raster, excluded = config.raster, dict[str, str]()
     is_sorted, is_iso = (
         raster.strategy is ls.config.RasterStrategy.SORTED,
@@ -74,30 +77,30 @@ def _excluded(config: ls.RenderConfig) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class State:
-    """Everything that undo restores: the document, the render settings and the exposure."""
+    """Snapshot that undo restores: the scene document, the render settings and the exposure."""
 
     document: ls.io.SceneDocument = field(default_factory=lambda: ls.io.SceneDocument.of(ls.Scene()))
     config: ls.RenderConfig = field(default_factory=ls.RenderConfig)
     exposure: float = 0.0
-    """Exposure of lit frames, in stops."""
+    """Exposure of lit frames, in stops; +1 doubles the brightness."""
 
 
 VIEWS = ("color", *ls.Frame.VIEWS)
-"""Views of a frame that a page may show."""
+"""All names that option *view* accepts: ``color`` for the rendered image, and the AOVs in `lumisplat.Frame.VIEWS`."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """View options of all pages; undo does not restore them, and scene files do not contain them."""
+    """View options, shared by all pages, such as image height and grid; not undone, and not saved in scene files."""
 
     height: int = 720
-    """Image height in pixels while the view is still."""
+    """Image height in pixels once the camera has stopped moving; frames during motion may be smaller."""
     budget_ms: float = 40.0
-    """Time budget of a frame while the view moves, milliseconds."""
+    """Time budget of a frame while the camera or the scene changes, milliseconds."""
     view: str = "color"
     """Image that pages show: ``color`` or one of `lumisplat.Frame.VIEWS`."""
     time: float = 0.0
-    """Animation time, seconds."""
+    """Animation time at which the scene is shown, seconds."""
     outlines: bool = True
     """True if pages outline the lights and the selected object."""
     grid: bool = False
@@ -105,10 +108,10 @@ class Options:
     insets: bool = False
     """True if pages show small images of depth and normals in a corner."""
     loading: tuple[str, ...] = ()
-    """Command-line options that were given when the files were loaded, to repeat them in printed commands."""
+    """Options such as ``--lod 1`` that the scene's files were loaded with; the files panel repeats them in commands."""
     split: float | None = None
-    """Fraction of the image width, from the left, in which *compare* shows the earlier state, 0 to 1; None disables
-    it."""
+    """Option *compare*: fraction of the image width, from the left, that shows the marked earlier state, 0 to 1; None
+    shows no comparison."""
 
     def __post_init__(self) -> None:
         for name, value, (low, high) in (("height", self.height, HEIGHTS), ("budget", self.budget_ms, BUDGETS_MS)):
@@ -119,7 +122,7 @@ class Options:
 
 
 class Session:
-    """The state that all pages share, with undo and selection. All methods are thread-safe.
+    """State that all pages of a viewer share: scene, settings, view options, undo history and selection. Thread-safe.
 
     Args:
         options: View options at the start.
@@ -127,30 +130,32 @@ class Session:
 
     def __init__(self, options: Options) -> None:
         self.changed = threading.Condition(threading.RLock())
-        """Condition that is notified when a frame may be out of date. Its lock is held during every change."""
+        """Condition that is notified after each change of scene, settings or view options. Every change holds its
+        lock."""
         self.state = self.opened = State()
-        """The current state. ``opened`` is the state on the left side of the comparison: the first state, or the one
-        marked last."""
+        """Current document, settings and exposure. ``opened`` is the state that option *compare* shows on the left:
+        the loaded state, or the state when *mark* was last pressed."""
         self.selected: int | None = None
-        """Id of the selected entry; None if nothing is selected."""
+        """Id of the scene entry that is selected on all pages; None if nothing is selected."""
         self.locked: frozenset[int] = frozenset()
-        """Ids of locked entries, which cannot be selected by a click or edited."""
+        """Ids of locked scene entries: a click in the image does not select them, and they cannot be edited."""
         self.ground_points: tuple[tuple[float, float, float], ...] | None = None
-        """Ground points clicked so far, world space; None while clicks select objects."""
+        """Up to two world positions clicked so far to define the ground plane; None while clicks select objects
+        instead."""
         self.options = options
         self.revision = 0
-        """Number that grows with every change that affects frames."""
+        """Counter that grows with every change of scene, settings or view options that affects frames."""
         self.extent = Extent()
-        """Extent of the scene that was opened."""
+        """Centre, size and ground height of the scene as loaded; edits change only the ground height."""
         self.boxes = BoxCache()
-        """Bounding boxes of entries; read them with the lock held."""
+        """Bounding box of each scene entry; use it only while holding the lock of `changed`."""
         self._past: list[State] = []
         self._future: list[State] = []
         self._merging: str | None = None
         self._edited_at = 0.0
         self._listeners: list[Callable[[], None]] = []
         self.error_listeners: list[Callable[[str], None]] = []
-        """Functions that receive each error message, as one line."""
+        """Functions that `report` calls with each error message, one line of text."""
 
     def open(self, state: State) -> None:
         """Replaces the state and clears the undo history."""
@@ -176,7 +181,10 @@ class Session:
             self._commit(change(self.state), merge, within)
 
     def _commit(self, state: State, merge: str | None, within: float) -> None:
-        """Makes a state the current one and updates the undo history. The caller holds the lock."""
+        """Makes a state the current one, and pushes the previous one to the undo history unless both edits are merged.
+
+        The caller holds the lock of ``changed``. See `edit` for the arguments.
+        """
         now = time.monotonic()
         if merge is None or merge != self._merging or now - self._edited_at > within:
             self._past = limit_undo_memory([*self._past[-UNDO_MAX:], self.state], state)
@@ -191,11 +199,11 @@ class Session:
         *,
         within: float = MERGE_S,
     ) -> bool:
-        """Edits the document. A failed edit is reported to the pages and changes nothing.
+        """Edits the document, as an edit that can be undone. If it fails, pages show the error and nothing changes.
 
         Args:
             edit: Returns the new document, given the current one. It runs without the lock, so it may read files; if
-                another edit happens meanwhile, it runs again.
+                the document changes meanwhile, it runs again.
             merge: Name of a series of edits that undo as one, as in `edit`.
             within: Longest time between two edits of a series, seconds.
 
@@ -242,7 +250,7 @@ class Session:
         return self._step(self._future, self._past)
 
     def mark(self) -> None:
-        """Makes the current state the left side of the comparison (option *compare*)."""
+        """Stores the current state as the one that option *compare* shows on the left side of the image."""
         with self.changed:
             self.opened = self.state
             self._show(self.state)
@@ -254,12 +262,12 @@ class Session:
 
     @property
     def is_lit(self) -> bool:
-        """True if frames of the current state are lit."""
+        """True if lights affect frames of the current state; False if captures are shown as captured."""
         return self.state.config.is_lit(by_default=self.scene.is_lit_by_default)
 
     @property
     def views(self) -> tuple[str, ...]:
-        """Views that pages can show of the current state."""
+        """Names of the views that pages can show of the current state: ``color``, and the AOVs that its frames have."""
         return available_views(self.state.config, lit=self.is_lit)
 
     @property
@@ -281,13 +289,13 @@ class Session:
             self._show(self.state)
 
     def set_ground_points(self, points: tuple[tuple[float, float, float], ...] | None) -> None:
-        """Sets the ground points clicked so far and makes clicks add points; None makes clicks select again."""
+        """Sets the points clicked so far to define the ground plane; clicks then add points. None ends this mode."""
         with self.changed:
             self.ground_points = points
             self._show(self.state)
 
     def set_options(self, **changes: object) -> None:
-        """Changes view options.
+        """Changes the view options that are passed by name, such as ``height=1080``.
 
         Raises:
             ConfigError: A value is invalid.
@@ -297,11 +305,11 @@ class Session:
             self._show(self.state)
 
     def on_change(self, listener: Callable[[], None]) -> None:
-        """Registers a function to call after each change, in the thread that made the change."""
+        """Registers a function that is called after each change of the session, in the thread that made the change."""
         self._listeners.append(listener)
 
     def report(self, problem: str) -> None:
-        """Sends an error message to all listeners, with settings named by their labels on the page."""
+        """Passes an error message to all `error_listeners`; names of settings are replaced by their control labels."""
         for notify in self.error_listeners:
             notify(page_words(problem))
 
@@ -335,12 +343,12 @@ class Session:
 
 
 def limit_undo_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX) -> list[State]:
-    """Returns the newest undo states whose assets fit into the memory limit.
+    """Drops the oldest undo states until the arrays that only the undo history holds fit into a memory limit.
 
     Args:
         past: Undo states, oldest first.
-        now: The current state; its assets do not count.
-        most: Limit for the assets that only ``past`` uses, bytes.
+        now: The current state; arrays that it also holds are not counted.
+        most: Memory limit, bytes.
     """
     entries = {id(entry) for entry in now.document.entries}
     arrays = {id(array) for entry in now.document.entries for array in _arrays_of(entry)}
@@ -359,7 +367,7 @@ def limit_undo_memory(past: list[State], now: State, most: int = UNDO_BYTES_MAX)
 
 
 def _arrays_of(held: object) -> Iterator[npt.NDArray[Any]]:
-    """Yields all NumPy arrays that an object of the package refers to, directly or through other objects."""
+    """Yields every NumPy array that an object of the package refers to, directly or through nested objects."""
     pending, seen = [held], set[int]()
     while pending:
         one = pending.pop()

@@ -1,4 +1,4 @@
-"""Limits and time constants of the viewer: uploads, levels of detail, frame pacing, JPEG quality and undo."""
+"""Limits and time constants of the viewer: uploads, levels of detail, frame times, JPEG quality and undo."""
 
 UPLOAD_BYTES_MAX = 2**28
 """Largest file that a page may upload, bytes."""
@@ -7,59 +7,62 @@ MESSAGE_BYTES_MAX = 2**22
 """Largest message from a page, bytes. Pages upload files in parts of half a megabyte."""
 
 SETTLED_S = 0.25
-"""Time without a change after which a view counts as still, seconds. Earlier full frames would flicker during motion.
+"""Time since the last change of camera or scene after which a view counts as still and gets full frames, seconds.
+Shorter times would make full and reduced frames alternate during motion.
 """
 
 INTERRUPT_S = 0.5
-"""Longest delay until Ctrl+C ends the viewer, seconds."""
+"""Interval at which the main thread wakes to handle Ctrl+C, seconds; the longest delay until the viewer ends."""
 
 LEVEL_FRACTIONS = (1.0, 0.25, 0.0625)
-"""Fraction of a capture's Gaussians in each level of detail."""
+"""Fraction of a capture's Gaussians that each level of detail keeps, by level number; level 0 keeps all."""
 
 LEVEL_GAUSSIANS_MIN = 20_000
-"""Fewest Gaussians of a scene's level of detail; fewer do not render faster."""
+"""Smallest number of Gaussians to which a whole scene is reduced; fewer would not render faster."""
 
 LEVEL_CAPTURE_MIN = 500
-"""Fewest Gaussians in a level of one capture. The limit is low because many small captures can form a large scene."""
+"""Smallest number of Gaussians to which a single capture is reduced. The limit is low because many small captures can
+form a large scene."""
 
 LEVEL_BLOCK = 2**15
-"""Most Gaussians of a capture that are merged at a time. A block takes a third of a second, and moving views get the
-processor between blocks."""
+"""Largest number of Gaussians merged at a time when a level of detail is built. Merging a block takes a third of a
+second; moving views get the processor between blocks."""
 
 LEVEL_DELAY_S = 1.0
-"""Longest time that building levels waits for a moving view, seconds, so that the first image comes before the levels.
-"""
+"""Longest time that building the levels of a capture is postponed while a view moves or has no image yet, seconds."""
 
 MOVING_GAUSSIANS_MAX = 500_000
-"""Most Gaussians in a moving view whose frame time is not known yet. Larger scenes are thinned until their levels
-exist."""
+"""Largest number of Gaussians in a moving view's first frame, while its frame time is unknown. Captures of larger
+scenes are thinned to every N-th Gaussian until their levels of detail are built."""
 
 PIXEL_SCALES = (1.0, 0.71, 0.5, 0.35)
-"""Width and height of frames of a moving view, as fractions of the size of a still view."""
+"""Resolutions that a moving view's frames may have: width and height as fractions of a still view's."""
 
 DETAIL_HEADROOM = 0.75
-"""Fraction of the time budget below which the expected time of a finer step must lie before the step is tried."""
+"""A finer detail step is tried only if its expected frame time is below this fraction of the time budget."""
 
 DETAIL_HOLD_FRAMES = 8
-"""Fewest frames between two refinements, so that a view does not flicker between two steps."""
+"""Smallest number of frames after a change of the detail step before a finer step is tried, to avoid flicker."""
 
 SAMPLES_AT_REST = 1024
-"""Samples per pixel at which a still view is finished, unless the settings specify a number."""
+"""Samples per pixel at which a still view stops refining, unless the render settings specify a number."""
 
 REALTIME_FRAMES_AT_REST = 128
-"""Number of realtime frames after which a still view is finished."""
+"""Number of frames of the realtime pipeline after which a still view stops refining."""
 
 ANSWER_S = 0.5
-"""Longest wait for a page to acknowledge its first frame, seconds. After that, frames are sent without waiting."""
+"""Longest wait for the first acknowledgement of a page, and for each of a notebook cell, seconds. A page that has not
+acknowledged by then gets its frames without waiting."""
 
 BUSY_ANSWER_S = 5.0
-"""Longest wait for an acknowledgement by a page that has sent one before, seconds: the page may be busy or hidden."""
+"""Longest wait for an acknowledgement from a page that has acknowledged a frame before, seconds: it may be busy or
+hidden."""
 
 DEPTH_STRIDE = 4
 """Step in pixels, along each axis, at which the depth of a frame is sent to the page to occlude gizmos."""
 
 NOISE_AT_REST = 0.005
-"""Relative error at which a still view is finished, unless the settings specify a value."""
+"""Estimated relative error at which a still view stops refining, unless the render settings specify a value."""
 
 JPEG_QUALITY_MOVING = 80
 """JPEG quality of a moving view, 1 to 95."""
@@ -68,22 +71,25 @@ JPEG_QUALITY_AT_REST = 95
 """JPEG quality of a still view, 1 to 95."""
 
 UNDO_MAX = 200
-"""Largest number of edits that can be undone; the states before them stay in memory."""
+"""Largest number of edits that can be undone. Each undo step keeps the document before its edit in memory."""
 
 UNDO_BYTES_MAX = 2**30
-"""Memory limit for assets that only the undo history uses, bytes. Beyond it, the oldest edits cannot be undone."""
+"""Memory limit for captures and meshes that only the undo history holds, bytes; beyond it, the oldest steps are
+dropped."""
 
 DRAG_ENDS_S = 1.0
-"""Time without movement after which a drag counts as ended, seconds, because its page may have closed."""
+"""Time since a gizmo last moved after which its drag counts as ended, seconds: the page may have closed in the middle.
+"""
 
 BEFORE_SAMPLES = 16
-"""Samples per pixel on the left side of the comparison in a still view."""
+"""Samples per pixel of the earlier state that option *compare* shows on the left side of a still view."""
 
 PLAY_STEPS_PER_S = 30.0
 """Number of times per second that playback advances the animation time."""
 
 DETAIL_TIME_DECAY = 0.995
-"""Factor per frame by which the remembered time of a finer step shrinks, so that a slow step is tried again later."""
+"""Factor per frame on the remembered frame time of a finer detail step that was too slow, so that it is tried again
+later."""
 
 HEIGHTS = (90, 2160)
 """Smallest and largest image height of a still view, pixels."""

@@ -44,15 +44,16 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat")
 
 _STEEP_COSINE = 0.94
-"""Cosine of about 20 degrees. A page whose view direction is closer to the vertical cannot be turned upright in place.
+"""Cosine of the angle, about 20 degrees, between view direction and vertical. A camera that looks more steeply up or
+down is moved to the first view when the up direction changes, as a roll cannot make it upright.
 """
 
 Load = Callable[[Progress], State]
-"""Function that loads the document and the settings; it reports its progress."""
+"""Function that loads a scene into a `State`: the document, render settings and exposure. It reports its progress."""
 
 
 class Viewer:
-    """A page that shows and edits a scene, with the threads that serve and render it. `lumisplat.view` creates one.
+    """Web page that shows and edits a scene, with its server and render threads. Call `lumisplat.view` to create one.
 
     Args:
         load: Returns the first state. It runs in a thread of its own, so that the page opens before loading ends.
@@ -104,7 +105,7 @@ class Viewer:
     def _repr_mimebundle_(
         self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
     ) -> Bundle:
-        """Returns live frames or an image for a notebook, and the page address. Falls back to text; never raises."""
+        """Returns what a notebook displays for the viewer: live frames, else a still image, else text. Never raises."""
         self._loader.join()
         if self._is_closed:
             return {"text/plain": repr(self)}, {}
@@ -202,7 +203,7 @@ class Viewer:
         self._add_keys()
 
     def _add_keys(self) -> None:
-        """Adds the commands of the command palette, with their hotkeys."""
+        """Adds the commands of the page's command palette, such as undo and save, with their hotkeys."""
         add = self._viser.gui.add_command
         add("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(press_callback(lambda _: self._step("undo")))
         add("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(press_callback(lambda _: self._step("redo")))
@@ -262,7 +263,11 @@ class Viewer:
         self._loop.start()
 
     def _set_first_view(self, scene: ls.Scene) -> None:
-        """Sets the first view to the front of the whole scene. Pages that users have moved only become upright."""
+        """Computes the start camera of new pages, and moves open pages there whose users have not navigated yet.
+
+        A page whose user has navigated keeps its position and is only rolled upright, unless it looks almost straight
+        up or down; then it moves to the start camera, too.
+        """
         up = scene.up_direction
         self._viser.scene.set_up_direction(up)
         if not (scene.splats or scene.meshes):
@@ -282,18 +287,18 @@ class Viewer:
                 self._look(client)
 
     def _update_up(self) -> None:
-        """Turns the cameras of all pages upright after the up direction of the scene has changed."""
+        """Rolls the cameras of all pages upright if the scene's up direction has changed since the last call."""
         scene = self._session.scene
         if (scene.splats or scene.meshes) and scene.up_direction != self._first_view.up:
             self._set_first_view(scene)
 
     def _is_at_first_view(self, client: viser.ClientHandle) -> bool:
-        """True if the page still has a camera that the viewer gave it."""
+        """True if a page's camera is still where the viewer put it to frame the whole scene: no user has navigated."""
         page = self._pages.get(client.client_id)
         return page is not None and page.pose is not None and self._fits_scene(page, page.pose)
 
     def _fit_scene(self, client: viser.ClientHandle) -> None:
-        """Moves a page's camera back until the whole scene fits into the page, whatever its aspect ratio."""
+        """Moves a page's camera to the start view, at the distance from which the whole scene fits its aspect ratio."""
         aspect = min(client.camera.aspect, ASPECT)
         position, target = self._first_view.at(aspect)
         if (page := self._pages.get(client.client_id)) is not None:
@@ -304,7 +309,7 @@ class Viewer:
         self._look(client)  # renders no frame at the old position meanwhile
 
     def _fits_scene(self, page: Page, pose: Pose) -> bool:
-        """True if a page's camera is where `_fit_scene` put it, so the user has not moved."""
+        """True if a camera pose of a page is one that `_fit_scene` sets, within 0.1 % of the distance to the origin."""
         at = self._session.extent.page_from_scene * np.array(pose.position)
         positions = [self._first_view.at(aspect)[0] for aspect in (ASPECT, *page.fitted_aspects)]
         return any(np.linalg.norm(at - position) < 1e-3 * np.linalg.norm(position) for position in positions)
@@ -332,7 +337,7 @@ class Viewer:
         self._loop.add(page)
 
     def _look(self, client: viser.ClientHandle) -> None:
-        """Stores the camera that a page reports."""
+        """Updates the page's stored camera from its browser. If only the window was resized, fits the scene again."""
         page = self._pages.get(client.client_id)
         if page is not None:
             before, now = page.pose, Pose.of(client.camera, self._session.extent.page_from_scene)
@@ -364,13 +369,13 @@ def _preload_renderer() -> None:
 
 
 def _looks_along(client: viser.ClientHandle, up: tuple[float, float, float]) -> bool:
-    """True if a page looks almost straight up or down, so that a rotation in place cannot make it upright."""
+    """True if a page's camera looks within about 20 degrees of straight up or down, so that a roll cannot level it."""
     forward = np.asarray(client.camera.look_at) - np.asarray(client.camera.position)
     return bool(abs(forward @ np.array(up)) > _STEEP_COSINE * np.linalg.norm(forward))
 
 
 def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:
-    """True if a page's camera is still at the given position, where the viewer placed it."""
+    """True if a page's camera is at the given position, page units, within 5 % of that position's length."""
     return bool(np.linalg.norm(np.asarray(client.camera.position) - position) < 0.05 * np.linalg.norm(position))
 
 
@@ -446,7 +451,7 @@ def view(
 
 
 def _refuse_missing(scene: Any) -> None:
-    """Raises a MissingFileError if the input consists of files and none of them exists."""
+    """Raises a MissingFileError if the argument of `view` is a file or a list of files, none of which exists."""
     files: list[Any] = list(cast("list[Any]", scene)) if isinstance(scene, list | tuple) else [scene]
     paths = [Path(os.fspath(file)) for file in files if isinstance(file, str | os.PathLike)]
     if paths and len(paths) == len(files) and not any(path.exists() for path in paths):
@@ -456,7 +461,7 @@ def _refuse_missing(scene: Any) -> None:
 def _document(
     scene: Any, up: Any, loading: Callable[..., Any], progress: Progress, *, keep_coordinates: bool
 ) -> ls.io.SceneDocument:
-    """Returns the input of `view` as a scene document, loading files where needed."""
+    """Converts the argument ``scene`` of `view`, such as an asset or a list of files, to a document; loads files."""
     if isinstance(scene, ls.io.SceneDocument):
         return scene
     if not isinstance(scene, str | os.PathLike | list | tuple):

@@ -1,4 +1,4 @@
-"""Rewrites messages of the library for the page: labels of controls replace Python names."""
+"""Rewrites error messages of the library for pages: names of Python settings become the labels of their controls."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _MEMBER = re.compile(r"\b([A-Z]\w*)\.([A-Z][A-Z0-9_]*)\b")
 _WORD = re.compile(r"(?<![\w.'\"/\\-])[a-z]+(?:_[a-z]+)*(?![\w'\"/\\-]|\.\w)")
 """Pattern of a word that is not quoted and not part of a path or file name."""
 _OTHERS = {"aovs": "layers", "time_limit": "time limit (s)", "sh_degree": "SH degree"}
-"""Label of each setting whose label is not its name."""
+"""Control label of each setting whose label differs from its Python name, by that name."""
 
 
 def label(name: str) -> str:
-    """Returns the label of a setting's control, without the names of enclosing groups."""
+    """Returns the control label of a setting given as ``group.name`` or ``name``; the label does not name the group."""
     last = name.rpartition(".")[2]
     degrees = last.removesuffix("_degrees")
     return _OTHERS.get(last, degrees.replace("_", " ") + " (°)" * (degrees != last))
@@ -51,7 +51,7 @@ def page_words(message: str) -> str:
 
 @cache
 def _choices() -> dict[str, tuple[str, type[Enum]]]:
-    """Returns the enums of settings by class name, each with the label of its control."""
+    """Returns the enums that settings use, by class name, each with the label of the setting that uses it."""
     kinds: dict[str, tuple[str, type[Enum]]] = {}
     for name, kind in _settings(ls.RenderConfig):
         if isinstance(kind, type) and issubclass(kind, Enum):
@@ -61,12 +61,12 @@ def _choices() -> dict[str, tuple[str, type[Enum]]]:
 
 @cache
 def _names() -> dict[str, str]:
-    """Returns the labels of settings whose label differs from their name."""
+    """Returns the control label by Python name, for settings whose label differs from the name."""
     return {name: label(name) for name, _ in _settings(ls.RenderConfig) if "_" in name or name in _OTHERS}
 
 
 def _settings(cls: type[Any]) -> Iterator[tuple[str, object]]:
-    """Yields the name and type of each setting of a class and of its nested groups."""
+    """Yields name and type of each setting of a settings class and, recursively, of its groups."""
     hints = get_type_hints(cls)
     for field in fields(cls):
         options = [one for one in get_args(hints[field.name]) or (hints[field.name],) if one is not type(None)]

@@ -123,7 +123,7 @@ def test_render_by_sample_blocks_continues_after_a_killed_process(work, tmp_path
         (("--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
     ],
 )
-def test_render_refuses_options_that_cannot_be_split_into_sample_blocks(
+def test_render_refuses_options_that_cannot_be_combined_with_sample_blocks(
     work, options: tuple[str, ...], message: str
 ) -> None:
     """Each refusal prints one line with status 2, and no image is written."""

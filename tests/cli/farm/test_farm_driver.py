@@ -97,7 +97,7 @@ def failed(error: BaseException, *, is_mistake: bool = False) -> Answer:
     return answer(error=error, is_mistake=is_mistake)
 
 
-def test_farm_gives_each_frame_to_a_worker_once(tmp_path: Path) -> None:
+def test_farm_gives_each_frame_to_exactly_one_worker(tmp_path: Path) -> None:
     """A worker has one frame at a time; the summary has the time, and no worker remains."""
     farm = Farm(tmp_path, 9)
     assert farm.run().startswith(f"9 frames in {tmp_path / 'out'}\n9 frames by 2 workers in ")

@@ -143,7 +143,9 @@ def test_run_that_another_run_replaced_does_not_overwrite_frames_of_the_other(tm
     assert theirs.folder.path(3).read_text() == "theirs"
 
 
-def test_settings_file_is_removed_before_old_frames_so_that_a_kill_leaves_none(tmp_path: Path, monkeypatch) -> None:
+def test_overwriting_run_removes_the_settings_file_before_the_frames_that_it_describes(
+    tmp_path: Path, monkeypatch
+) -> None:
     """The file of settings is removed first, so that old frames are not taken for new ones."""
     maker = FakeMaker(tmp_path / "out")
     make_frames(maker.open_frames(lambda *_: None), lambda *_: None, overwrite=False, video=None, fewer="")

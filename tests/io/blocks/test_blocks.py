@@ -131,7 +131,9 @@ def test_coincident_gaussians_stay_in_one_block(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", VIEWS)
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_rendering_only_visible_blocks_equals_the_whole_capture(name: str, antialiased: bool, tmp_path: Path) -> None:
+def test_frame_rendered_from_the_visible_blocks_equals_that_of_the_whole_capture(
+    name: str, antialiased: bool, tmp_path: Path
+) -> None:
     """Frames are equal bit for bit, also in windows of a frame, which need fewer blocks, and with jittered samples."""
     capture = replace(street(), antialiased=antialiased)
     index = ls.io.write_blocks(tmp_path, chunks(capture), 3.0, block_max=200)

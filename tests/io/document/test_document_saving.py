@@ -176,7 +176,7 @@ def test_scene_files_refuse_to_store_undecodable_file_names() -> None:
 
 
 @pytest.mark.parametrize("suffix", ["", ".ply"])
-def test_documents_are_saved_only_as_toml_files(suffix: str) -> None:
+def test_saving_a_document_with_another_extension_than_toml_is_refused(suffix: str) -> None:
     """Files of other extensions could not be loaded again."""
     with pytest.raises(ls.FormatError, match=r"is not a \.toml"):
         ls.io.SceneDocument.of(ls.Scene()).save(f"scene{suffix}")

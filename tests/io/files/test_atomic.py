@@ -197,7 +197,7 @@ with atomic_write(sys.argv[1]) as temporary:
     assert {path.name for path in tmp_path.iterdir()} == {own.name, "slow.ply", "next.ply"}
 
 
-def test_save_called_with_swapped_arguments_explains_their_order() -> None:
+def test_error_for_arguments_of_save_in_the_wrong_order_explains_their_order() -> None:
     """The message says that the path comes first."""
     with pytest.raises(ConfigError, match=r"save\(path, asset\): the path comes first, got Mesh"):
         ls.save(cast(Any, ls.box()), cast(Any, "box.glb"))

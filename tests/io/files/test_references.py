@@ -70,7 +70,7 @@ def referrer(request) -> tuple[Callable[[Path, str], Path], bytes]:
 
 
 @pytest.mark.parametrize("absolute", [False, True])
-def test_references_to_files_outside_a_files_folder_are_refused_by_default(
+def test_references_of_a_file_to_others_outside_its_folder_are_refused_by_default(
     tmp_path: Path, referrer, absolute: bool
 ) -> None:
     """References outside the folder are refused before the referenced file is read."""

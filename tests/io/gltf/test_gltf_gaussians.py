@@ -295,7 +295,7 @@ def test_total_size_of_stretched_gltf_captures_is_limited(tmp_path: Path, monkey
 # --- Scene or capture ---
 
 
-def test_gltf_with_gaussians_meshes_lights_and_cameras_is_a_scene(tmp_path: Path) -> None:
+def test_gltf_with_gaussians_meshes_lights_and_cameras_loads_as_a_scene(tmp_path: Path) -> None:
     """The scene has the y-up axes of the file."""
     values = stored_values()
     gltf = with_camera(splat_gltf(values))

@@ -57,7 +57,7 @@ def corners(animation: ls.Animation, time: float) -> np.ndarray:
     return mesh.mesh.positions @ mesh.transform[:3, :3].T + mesh.transform[:3, 3]
 
 
-def test_gltf_translations_interpolate_linearly_in_steps_or_by_splines(tmp_path: Path) -> None:
+def test_gltf_translations_are_interpolated_in_the_modes_linear_step_and_cubic_spline(tmp_path: Path) -> None:
     """The node moves from x = 0 at 0 s to x = 1 at 2 s; the cubic spline has tangents 2 and 0."""
     keys = [0.0, 2.0]
     ends = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]

@@ -290,7 +290,7 @@ def test_error_for_an_invalid_rig_names_the_file_and_the_invalid_item(
     assert problem in message
 
 
-def test_rigs_with_random_byte_changes_are_refused_or_can_be_posed(tmp_path: Path) -> None:
+def test_rigs_with_random_byte_changes_either_are_refused_or_can_be_posed(tmp_path: Path) -> None:
     """A refusal is one line."""
     rng = np.random.default_rng(0)
     data = TubeRig(clips={"bend": BEND, "carry": CARRY}).gltf().glb()
@@ -330,7 +330,9 @@ def test_gltf_animation_of_a_node_that_has_a_matrix_is_refused(tmp_path: Path) -
         load(rig, tmp_path)
 
 
-def test_black_vertex_colours_are_dropped_from_textured_meshes_only(caplog: pytest.LogCaptureFixture) -> None:
+def test_black_vertex_colours_are_dropped_from_textured_meshes_and_kept_on_others(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """Black colours on a texture are masks; other colours stay, and so do black colours of meshes without a texture."""
     texture = np.zeros((2, 2, 3), np.uint8)
     plain, textured = ls.MaterialPbr(), ls.MaterialPbr(base_color_texture=texture)
@@ -344,7 +346,7 @@ def test_black_vertex_colours_are_dropped_from_textured_meshes_only(caplog: pyte
     assert used.endswith("'head' black: if it is no colour, export it")
 
 
-def test_rigs_keep_black_vertex_colours_with_a_log_line_unless_asked_to_drop_them(
+def test_rig_with_black_vertex_colours_stays_black_with_a_warning_unless_vertex_colors_is_false(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Vertex colours multiply the base colour, as glTF demands, so the mesh is black."""

@@ -344,7 +344,7 @@ def test_repeated_corners_that_restart_a_gltf_triangle_strip_are_not_logged(
     assert not caplog.records
 
 
-def test_meshes_with_nonfinite_positions_are_refused_with_their_number(tmp_path: Path) -> None:
+def test_error_for_nonfinite_mesh_positions_states_their_number(tmp_path: Path) -> None:
     """A glTF accessor holds the NaN."""
     gltf = quad_gltf()
     positions = QUAD.copy()

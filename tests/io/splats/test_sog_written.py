@@ -195,7 +195,7 @@ def test_sog_codebook_of_uniform_numbers_has_at_most_1_percent_above_the_least_e
 
 
 @pytest.mark.data
-def test_frames_of_a_capture_before_and_after_saving_as_sog_differ_by_over_60_db_psnr(
+def test_frames_of_a_capture_before_and_after_saving_as_sog_match_with_over_60_db_psnr(
     tmp_path: Path, data_dir: Path
 ) -> None:
     """The downloaded biker capture is rendered at 320 x 180 pixels."""

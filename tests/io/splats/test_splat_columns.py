@@ -92,7 +92,7 @@ def test_infinite_log_scales_and_stored_opacities_are_invalid() -> None:
         gaussians_from_columns("a.ply", columns)
 
 
-def test_capture_without_a_valid_gaussian_is_refused_with_drop_invalid() -> None:
+def test_capture_without_any_valid_gaussian_is_refused_even_with_drop_invalid() -> None:
     """All positions are NaN, so no Gaussian is left."""
     columns = stored(2)
     columns.means[:] = np.nan

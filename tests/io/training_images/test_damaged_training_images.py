@@ -67,7 +67,7 @@ def test_error_for_a_folder_without_training_images_gives_advice(tmp_path):
     assert "transforms.json: is a file, expected the folder that holds" in refusal(tmp_path / "transforms.json")
 
 
-def test_error_counts_and_names_missing_training_images(nerfstudio, colmap):
+def test_error_for_missing_training_images_states_their_number_and_names(nerfstudio, colmap):
     """The error has the count, the first names and the expected folder."""
     for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
         shutil.rmtree(folder / "images")

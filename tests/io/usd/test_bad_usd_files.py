@@ -406,7 +406,7 @@ def test_usd_file_references_with_format_arguments_are_refused(tmp_path: Path) -
     assert "with arguments" in refused(write_usda(tmp_path / "a.usda", body))
 
 
-def test_usd_value_clips_in_variants_must_be_in_the_folder(tmp_path: Path) -> None:
+def test_usd_value_clips_of_variants_outside_the_folder_are_refused(tmp_path: Path) -> None:
     """A clip that only a variant names is a layer, too."""
     usd_core()
     (tmp_path / "in").mkdir()
@@ -506,7 +506,9 @@ def test_recursive_usd_point_instancers_are_skipped(tmp_path: Path, monkeypatch:
         scene_of(write_usda(tmp_path / "b.usda", many + field(name="b")), False)
 
 
-def test_nested_usd_instances_of_hidden_prims_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_number_of_nested_usd_instances_is_limited_even_if_their_prims_are_hidden(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Twenty instancers each instance the previous one ten times; the first instances a hidden prim."""
     monkeypatch.setattr("lumisplat.io.usd.stage.USD_INSTANCES_MAX", 1000)
     positions = ", ".join(f"({k}, 0, 0)" for k in range(10))

@@ -85,7 +85,7 @@ def test_adaptive_sample_counts_of_the_cpu_and_cuda_schedules_are_almost_equal(s
     assert frame.stats is not None and frame.stats.nonfinite_count == 0
 
 
-def test_interrupted_frame_with_a_noise_target_takes_as_many_samples_as_an_uninterrupted() -> None:
+def test_interrupted_frame_with_a_noise_target_takes_as_many_samples_as_an_uninterrupted_one() -> None:
     """The frame ends at the same sample, however often it was interrupted; a finished frame gets no more samples."""
     settings = replace(PATHS, samples=None, noise=0.15, adaptive=None)
     whole = ls.render(lit_room(), view(), settings, device="cpu")
@@ -222,7 +222,7 @@ def test_adaptive_sampling_of_rasterised_frames_is_refused() -> None:
     ("changes", "names"),
     [({"noise": 0.1}, "noise"), ({"adaptive": False}, "adaptive"), ({"aovs": ("albedo",)}, "aovs")],
 )
-def test_adaptive_frame_is_resumed_only_with_the_same_noise_target_and_layers(
+def test_resuming_an_adaptive_frame_with_another_noise_target_or_layers_is_refused(
     changes: dict[str, Any], names: str
 ) -> None:
     """A frame with another noise target or with other layers is refused in one line."""

@@ -125,7 +125,7 @@ def test_mirrors_reflect_alpha_masked_and_alpha_blended_surfaces(pipeline: ls.Pi
     np.testing.assert_allclose(frame.color[:, 17:].mean(axis=(0, 1)), GREEN, atol=1e-5)
 
 
-def test_emitter_of_alpha_a_lights_a_floor_like_an_opaque_one_of_a_times_its_radiance() -> None:
+def test_emitter_with_alpha_lights_a_floor_like_an_opaque_one_dimmed_by_the_alpha() -> None:
     """The light on a floor is the same for an emitting square with alpha and for an opaque, darker one."""
     floor = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
     settings: dict[str, Any] = {"max_bounces": 1, "background": None}

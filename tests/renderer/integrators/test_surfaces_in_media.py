@@ -39,7 +39,7 @@ def color(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: A
 @TRACED
 @pytest.mark.parametrize("ior", [1.5, 1.33, 1.1, 1.0])
 @pytest.mark.parametrize("thin_walled", [False, True])
-def test_reflectance_of_a_surface_under_water_depends_on_the_indices_of_both(
+def test_reflectance_under_water_depends_on_the_refractive_indices_of_water_and_surface(
     pipeline: ls.Pipeline, ior: float, thin_walled: bool
 ) -> None:
     """Black varnish, or a black pane, in white light reflects ((n1 - n2) / (n1 + n2))^2 for the indices n1 and n2."""

@@ -74,7 +74,7 @@ def test_diffuse_mesh_inside_a_uniform_capture_shows_its_albedo(pipeline: ls.Pip
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_mesh_inside_a_half_bright_capture_receives_one_plus_cosine_over_two(axis: int) -> None:
+def test_irradiance_on_a_mesh_inside_a_half_bright_capture_is_one_plus_cosine_over_two(axis: int) -> None:
     """Irradiance is (1 + cosine) / 2 by the angle between the normal and the centre of the bright half."""
     along = even_directions(3000)
     colors = np.where(along[:, axis, None] > 0.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])

@@ -120,7 +120,7 @@ def test_normal_texture_tilts_the_normal_right_by_red_and_up_by_green() -> None:
             np.testing.assert_allclose(seen, normal @ toward, rtol=1e-4)
 
 
-def test_occlusion_texture_dims_only_environment_light() -> None:
+def test_occlusion_texture_dims_environment_light_and_no_other_light() -> None:
     """The strength of the texture scales the dimming; other lights are not dimmed."""
     hidden = texture(51, 0, 0)
     environment = ls.LightEnvironment(visible=False)
@@ -224,7 +224,7 @@ def test_mean_light_of_stochastic_hits_on_relit_splats_equals_that_of_sorted_ble
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 @pytest.mark.parametrize("samples", [1, 32])
-def test_shadow_removes_one_fraction_of_a_finely_striped_capture_at_any_sample_count(
+def test_shadow_on_a_capture_with_sub_pixel_stripes_is_equally_dark_at_1_and_32_samples(
     samples: int, pipeline: ls.Pipeline
 ) -> None:
     """The capture has stripes narrower than pixels; a shadow removes the same fraction for any sample count."""

@@ -89,7 +89,7 @@ def test_radiance_inside_an_emitting_ball_equals_the_geometric_series() -> None:
     assert outwards.color.mean() < 1e-5
 
 
-def test_realtime_pipeline_lights_only_surfaces_in_front_of_a_one_sided_emitter() -> None:
+def test_one_sided_emitter_in_real_time_lights_surfaces_in_front_and_none_behind() -> None:
     """Light in front is within 3 % of path tracing, and there is none behind."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "cpu")
     lit, back = floor_below(LIGHT, faces_down=True), floor_below(LIGHT, faces_down=False)

@@ -59,7 +59,7 @@ def test_path_traced_room_of_diffuse_walls_has_no_glossy_light() -> None:
     np.testing.assert_allclose(frame.indirect_diffuse.mean(), 0.5 / np.pi * 1.2416 - direct / np.pi, rtol=0.02)
 
 
-def test_layers_of_rough_metal_have_only_glossy_light_and_those_of_lights_only_emission() -> None:
+def test_light_from_rough_metal_is_in_glossy_layers_and_visible_lights_are_in_emission() -> None:
     """The floor is rough metal, and the camera sees a light directly."""
     metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.4)
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), metal)

@@ -199,7 +199,7 @@ def test_choice_of_mean_or_iso_surface_does_not_change_frames_without_lit_gaussi
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
-def test_light_falls_off_with_the_squared_distance_from_the_mean_surface(pipeline: ls.Pipeline) -> None:
+def test_light_on_a_mean_surface_falls_off_with_the_squared_distance_from_the_light(pipeline: ls.Pipeline) -> None:
     """Light from the eye falls off with the square of the mean distance, not of the distance of the nearer layer."""
     light = ls.LightPoint((0.0, 0.0, 0.0), intensity=30.0, casts_shadow=False)
     veils = joined(veil(3.0, 0.5), veil(5.0, 0.6))

@@ -235,7 +235,7 @@ def test_rasterised_view_without_visible_objects_shows_only_the_background(
 
 
 @pytest.mark.parametrize("name", ["instances", "meshes and splats", "many small"])
-def test_background_is_composited_under_the_transparent_frame(backend: str, name: str) -> None:
+def test_background_colour_is_composited_under_a_transparent_frame_by_its_alpha(backend: str, name: str) -> None:
     """For any background, the frame is the transparent frame plus (1 - alpha) times the background."""
     case = next(case for case in cases() if case.name == name)
     transparent, over = (

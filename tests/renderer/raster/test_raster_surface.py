@@ -91,7 +91,7 @@ def test_depth_of_a_gaussian_in_front_of_a_mesh_is_never_behind_that_mesh(render
     assert 0.1 < (frame.depth_z[splat] > 5.0999).mean() < 0.6
 
 
-def test_index_layers_count_gaussians_within_their_instance_and_mesh_instances_last(renderer: ls.Renderer) -> None:
+def test_instance_index_counts_captures_then_meshes_and_gaussian_index_within_a_capture(renderer: ls.Renderer) -> None:
     """Splat instances are numbered first, then meshes; a mesh has no Gaussian index."""
     far, near = random_gaussians(90, 5, center=(0.0, 50.0, 4.0)), one_gaussian((0.5, 0.0, 3.0), 0.1, 0.9)
     target = one_gaussian((-0.5, 0.0, 3.0), 0.1, 0.9)

@@ -87,7 +87,7 @@ def test_light_denoiser_averages_the_frames_of_a_history_with_equal_weights() ->
     assert (sequence.ages() == 40.0).all()
 
 
-def test_light_denoiser_weights_the_newest_frame_by_1_over_the_maximum_history() -> None:
+def test_light_denoiser_with_a_full_history_of_n_frames_weights_the_newest_by_1_over_n() -> None:
     """Beyond the maximum history, the newest frame has the weight 1 / frames."""
     sequence, surfaces = FilterSequence(frames=4, passes=0), plane()
     x = np.arange(COUNT) % SIZE["width"] + np.arange(COUNT) // SIZE["width"]

@@ -132,7 +132,7 @@ def test_surfaces_for_which_the_light_grid_has_no_cells_left_are_lit_without_bia
         assert np.percentile(np.abs(found / truth - 1.0), 90) < 0.10
 
 
-def test_reflected_surfaces_for_which_the_light_grid_has_no_cells_left_are_unbiased(
+def test_reflected_surfaces_for_which_the_light_grid_has_no_cells_left_are_lit_without_bias(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Surfaces beyond the limit use one light a frame instead of all lights of a cell; the mean is equal."""
@@ -152,7 +152,7 @@ def test_reflected_surfaces_for_which_the_light_grid_has_no_cells_left_are_unbia
     assert shown() == pytest.approx(expected, rel=0.02)
 
 
-def test_realtime_light_recovers_after_200_lights_were_removed() -> None:
+def test_realtime_brightness_is_right_again_after_200_lights_were_removed() -> None:
     """In between, the default headlight lights the scene; the frame recovers once light has bounced."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, lighting=True), "cpu")
     scene = ls.Scene(ROOM.splats, [i for i in ROOM.meshes if not i.mesh.material.is_emissive], point_lights(200))

@@ -82,7 +82,7 @@ def test_dim_environment_beside_a_bright_light_causes_no_fireflies_in_real_time(
     assert samples.max() < 80.0 * truth.mean()  # 450 by samples of the environment alone
 
 
-def test_five_light_layers_sum_to_a_realtime_frame_with_captured_colours() -> None:
+def test_five_light_layers_and_captured_colours_sum_to_the_realtime_frame() -> None:
     """Requesting the layers does not change the frame."""
     light = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
     lit = scene(*LIGHTS, ENVIRONMENT, light)

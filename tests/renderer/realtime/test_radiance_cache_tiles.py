@@ -49,7 +49,7 @@ def test_slot_of_an_evicted_radiance_cache_tile_is_empty_for_the_next_tile() -> 
         assert found == pytest.approx(frame + 0.5 * (frame < 6), rel=1e-6)
 
 
-def test_full_radiance_cache_evicts_tiles_in_order_of_their_last_use(caplog: pytest.LogCaptureFixture) -> None:
+def test_full_radiance_cache_evicts_tiles_that_were_unused_for_longest_first(caplog: pytest.LogCaptureFixture) -> None:
     """The cache holds 64 tiles; evictions are counted and logged once."""
     rig = CacheRig(tiles=64)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -128,7 +128,7 @@ def test_every_radiance_cache_cell_sends_a_bounce_ray_before_any_sends_a_second(
     assert (host["position"][:3, 0] > 8000).all()
 
 
-def test_bounce_ray_of_a_radiance_cache_cell_starts_at_a_uniformly_chosen_sample() -> None:
+def test_bounce_ray_of_a_radiance_cache_cell_starts_at_a_uniformly_chosen_sample_in_it() -> None:
     """Points have the normal and extent of their samples and are uniform over them; keys differ by cell and frame."""
     rng = np.random.default_rng(3)
     rig = CacheRig()

@@ -255,7 +255,7 @@ def test_realtime_light_has_equal_means_if_sampled_every_frame_or_every_second_f
     assert uncovered[lit > 0.1 * lit.mean()].min() > 0.0
 
 
-def test_realtime_light_recovers_after_all_lights_were_removed() -> None:
+def test_realtime_brightness_is_right_again_after_all_lights_were_removed() -> None:
     """Disabled lights light nothing; without any lights, meshes get the default headlight, as in other pipelines."""
     plain = ls.Scene((), [box((1.0, 1.0, 1.0), matte(0.7))])
     light = ls.LightPoint((1.0, 2.0, -2.0), intensity=8.0)

@@ -74,7 +74,7 @@ OTHER = {
 
 
 @pytest.mark.parametrize("change", SAME | CHANGED | OTHER)
-def test_weight_of_realtime_history_falls_when_lights_change(change: str) -> None:
+def test_weight_of_earlier_frames_in_realtime_light_falls_when_lights_change(change: str) -> None:
     """The weight falls for several frames after a small change, and to almost 0 in the frame of an abrupt one."""
     changes = LightChanges()
     assert [changes.history_weight(LIT, False) for _ in range(3)] == [1.0] * 3
@@ -87,7 +87,7 @@ def test_weight_of_realtime_history_falls_when_lights_change(change: str) -> Non
 
 
 @pytest.mark.parametrize("move", MOVED)
-def test_moving_objects_lower_the_weight_of_realtime_history_less_than_changed_lights(move: str) -> None:
+def test_moving_objects_lower_the_weight_of_earlier_frames_less_than_changed_lights(move: str) -> None:
     """After a change of lights, the weight falls more and recovers sooner."""
     changes = LightChanges()
     changes.history_weight(LIT, False)
@@ -103,7 +103,7 @@ def test_moving_or_new_emissive_capture_counts_as_a_change_of_lights() -> None:
     assert changes.history_weight(MOVED["a capture that moves"], False) == OUTDATED_HISTORY_WEIGHT
 
 
-def test_first_frame_of_a_realtime_sequence_gives_history_its_full_weight() -> None:
+def test_history_of_realtime_light_has_its_full_weight_at_the_start_of_each_sequence() -> None:
     """Every sequence starts with the full weight, also after a reset."""
     changes = LightChanges()
     assert changes.history_weight(LIT, False) == 1.0

@@ -318,7 +318,7 @@ def test_transmittances_of_coloured_panes_multiply_in_any_order(rig: ShadowRig, 
         assert (rig.light(ls.Scene([], meshes), [0.3, 0.1, 0.0], AHEAD) == 0.0).all()
 
 
-def test_shadow_rays_through_edges_and_corners_of_a_pane_hit_one_triangle(rig: ShadowRig) -> None:
+def test_shadow_rays_through_edges_and_corners_of_a_pane_hit_exactly_one_triangle(rig: ShadowRig) -> None:
     """The law holds for any winding order."""
     x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
     points = np.stack([x.ravel(), y.ravel(), np.full(25, 3.0)], axis=-1)
@@ -427,7 +427,9 @@ SHARED = pytest.mark.parametrize("shared", [False, True], ids=["per ray", "share
 
 @SHARED
 @pytest.mark.parametrize("degree", [0, 2, pytest.param(3, marks=pytest.mark.deep)])
-def test_stochastic_shadow_rays_have_the_mean_of_exact_ones(rig: ShadowRig, degree: int, shared: bool) -> None:
+def test_mean_transmittance_of_stochastic_shadow_rays_equals_that_of_exact_ones(
+    rig: ShadowRig, degree: int, shared: bool
+) -> None:
     """Each ray is within four standard deviations, the mean over rays within less; instances share BVHs."""
     asset = replace(random_gaussians(80, 80, center=(0.0, 0.0, 0.0)), kernel_degree=degree)
     scene = ls.Scene([asset, ls.SplatInstance(asset, similarity((1, 2, 0.5), 1.1, 1.2, (0.3, 0.1, 4.0))), stack(0.5)])

@@ -93,7 +93,7 @@ def test_hit_distance_on_a_scaled_mesh_instance_is_in_world_units(rig: RayRig) -
         assert hits.t[0] == pytest.approx(5.0 * scale / 0.8, rel=1e-6)
 
 
-def test_triangle_hits_at_t_min_are_skipped(rig: RayRig) -> None:
+def test_triangle_hits_at_the_start_t_min_of_a_ray_are_skipped(rig: RayRig) -> None:
     """Triangles through the origin of the ray are skipped as well; the next triangle is hit."""
     scene = ls.Scene([], [quad(z) for z in (0.0, 2.0, 3.0)])
     t_min = np.array([0.0, 1.999, 2.0, 2.001, 3.0])
@@ -103,7 +103,7 @@ def test_triangle_hits_at_t_min_are_skipped(rig: RayRig) -> None:
     np.testing.assert_array_equal(hits.instance, [1, 1, 2, 2, -1])
 
 
-def test_triangle_hits_beyond_t_max_are_skipped(rig: RayRig) -> None:
+def test_triangle_hits_beyond_the_end_t_max_of_a_ray_are_skipped(rig: RayRig) -> None:
     """Without a nearer hit, ``t_max`` is returned; a ray whose ``t_max`` is not above ``t_min`` is inactive."""
     scene = ls.Scene([], [quad(2.0)])
     t_max = np.array([1.9, 2.1, np.inf, 0.0, -np.inf])

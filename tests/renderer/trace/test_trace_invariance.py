@@ -437,7 +437,7 @@ def test_gaussians_and_meshes_between_eye_and_near_plane_are_invisible(backend: 
 
 
 @pytest.mark.parametrize("dilation", [0.0, 0.3])
-def test_raster_and_trace_pipelines_agree_on_small_gaussians(backend: str, dilation: float) -> None:
+def test_raster_and_trace_pipelines_give_nearly_equal_frames_of_small_gaussians(backend: str, dilation: float) -> None:
     """The Gaussians lie side by side near the optical axis."""
     random = np.random.default_rng(4)
     x, y = np.meshgrid(np.linspace(-0.35, 0.35, 6), np.linspace(-0.25, 0.25, 5))

@@ -18,7 +18,7 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 @pytest.mark.parametrize(
     ("hit_distance", "alike"), [(ls.config.HitDistance.HULL, True), (ls.config.HitDistance.PEAK, False)]
 )
-def test_traced_frame_equals_mitsuba_if_hits_are_sorted_by_hulls_as_there_and_else_not(
+def test_traced_frame_equals_mitsuba_if_hits_are_sorted_by_hulls_and_differs_if_by_peaks(
     name: str, hit_distance: ls.config.HitDistance, alike: bool
 ) -> None:
     """Ordered by hulls as in Mitsuba, 99.5 % are within four 8-bit steps, half a step in the mean; by peaks, not."""

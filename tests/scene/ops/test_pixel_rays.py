@@ -47,7 +47,7 @@ def test_fisheye_pixels_more_than_180_degrees_off_axis_have_no_direction() -> No
     assert not world_rays(view)[1][blind].any()
 
 
-def test_frame_positions_lie_on_the_visible_surfaces() -> None:
+def test_position_layer_of_a_frame_lies_on_the_visible_surfaces() -> None:
     """Positions lie on the ball or on the floor, and are zero where nothing is visible."""
     frame = ball_frame()
     position = frame.position

@@ -1,4 +1,4 @@
-"""The render thread: draws changed views first, then refines still views."""
+"""The render thread: renders pages whose view has changed first, then adds samples to still views."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _noise_log = logging.getLogger("lumisplat.noise")
 
 
 def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
-    """Returns the settings that render one sample of a frame, with the AOV that a view needs.
+    """Returns settings for one frame: one sample per pixel, no noise or time limit, and the AOV that a view needs.
 
     Args:
         config: Render settings of the scene.
@@ -60,7 +60,9 @@ def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
 
 
 class Renderers:
-    """Holds one renderer per purpose, such as moving or still views, and reconfigures a renderer when settings change.
+    """Renderers by purpose (such as moving views, still views, or one page), created at first use.
+
+    A purpose is any hashable key. If the settings of a purpose change, its renderer is reconfigured, not replaced.
 
     Args:
         device: Device that renders, as in `lumisplat.create_renderer`.
@@ -73,7 +75,7 @@ class Renderers:
         _noise_log.addFilter(self._is_from_other_thread)
 
     def of(self, purpose: Hashable, config: ls.RenderConfig) -> ls.Renderer:
-        """Returns the renderer of a purpose with the given settings; changed settings leave the scene on the device.
+        """Returns the renderer of a purpose, created or reconfigured so that it has the given settings.
 
         Raises:
             DeviceError: The device does not exist or is out of memory.
@@ -89,7 +91,7 @@ class Renderers:
         return held
 
     def has(self, purpose: Hashable, config: ls.RenderConfig) -> bool:
-        """True if a renderer with the given purpose and settings exists."""
+        """True if the renderer of a purpose exists and has exactly the given settings, so that nothing must compile."""
         held = self._held.get(purpose)
         return held is not None and held.config == config
 
@@ -99,23 +101,23 @@ class Renderers:
         _noise_log.removeFilter(self._is_from_other_thread)
 
     def retain_only(self, purposes: Collection[Hashable]) -> None:
-        """Frees the renderers of all purposes except the given ones."""
+        """Frees all renderers except those of the given purposes."""
         if gone := self._held.keys() - set(purposes):
             for purpose in gone:
                 self.drop(purpose)
             _return_freed_memory()
 
     def drop(self, purpose: Hashable) -> None:
-        """Frees the renderer of a purpose."""
+        """Frees the renderer of one purpose; does nothing if there is none."""
         self._held.pop(purpose, None)
 
     def _is_from_other_thread(self, record: logging.LogRecord) -> bool:
-        """Log filter that drops noise warnings of the render thread: its first samples are always noisy."""
+        """Log filter: drops warnings about noise from the render thread, where the first samples are always noisy."""
         return record.threadName != THREAD
 
 
 def _return_freed_memory() -> None:
-    """Returns freed memory to the system. glibc would keep blocks of up to 32 MiB, whose sizes seldom recur."""
+    """Makes glibc return freed memory to the system; it would keep freed blocks of up to 32 MiB, seldom reused."""
     with contextlib.suppress(OSError, AttributeError):  # only glibc has malloc_trim
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -123,34 +125,36 @@ def _return_freed_memory() -> None:
 _log = logging.getLogger("lumisplat")
 
 _MOVING, _AT_REST, _BEFORE = "moving", "at rest", "before"
-"""Purposes of renderers that all pages share. In realtime pipelines, each page has its own renderer instead."""
+"""Keys of the renderers that all pages share: for moving views, still views, and the earlier state of option
+*compare*. A realtime pipeline uses one renderer for each page instead."""
 
 
 @dataclass(frozen=True)
 class _Job:
-    """A frame to render for a page."""
+    """Request to render one frame: the page, its camera, and a snapshot of state and view options."""
 
     page: Page
     key: tuple[int, int]
     pose: Pose
     state: State
     before: State
-    """State on the left side of the comparison (option *compare*)."""
+    """Earlier state that option *compare* shows on the left side of the image."""
     options: Options
     moves: bool
-    """True if the view moves; False if the view is still."""
+    """True if camera or scene have changed since the last frame; False to add a sample to a still view."""
 
 
 class RenderLoop:
-    """Renders the frames of all pages in one thread.
+    """Renders the frames of all pages, and steps of background jobs, in one thread.
 
     Args:
         session: Session to show.
         device: Device that renders.
         progress: Receives progress messages while kernels compile.
-        on_frame: Called after each frame with the page, the detail step (None for a still view) and the milliseconds.
+        on_frame: Called after each frame with the page, the `DetailStep` (None for a still view, which has full detail)
+            and the frame time in milliseconds.
         overlay: Draws overlays on an image, such as outlines of lights.
-        on_levels: Receives the progress of building levels of detail, 0 to 1.
+        on_levels: Receives the completed fraction of building levels of detail, 0 to 1.
     """
 
     def __init__(
@@ -166,15 +170,16 @@ class RenderLoop:
         self._session, self._on_frame, self._overlay = session, on_frame, overlay
         self._renderers = Renderers(device, progress)
         self._moved_at = -math.inf
-        """Time of the last frame of a moving view, seconds of the monotonic clock."""
+        """Start time of the last frame of a moving view, seconds of the monotonic clock."""
         self._levels = Levels(self._wake, on_levels, self._is_busy)
         self.scenes = SceneBuilder(self._levels, device, progress, session.report)
-        """Builds the scenes of frames; only the render thread uses this object."""
+        """Builds the scene of each frame. Only code that runs in the render thread may use it."""
         self._scenes_before = SceneBuilder(self._levels, device, progress, session.report)
         self._pages: list[Page] = []
         self._background: deque[Generator[None]] = deque()
         self._background_waited = False
-        """True if the render thread last served a still view while a background job waited; the job is then next."""
+        """True if the last step of the thread was a frame while a background job was queued; before the next frame of
+        a still view, the job then gets a step."""
         self._is_open = True
         self._thread = threading.Thread(target=self._run, name=THREAD, daemon=True)
 
@@ -209,7 +214,7 @@ class RenderLoop:
             self._session.changed.notify_all()
 
     def thumbnail(self, camera: ls.Camera, show: Callable[[Picture], object]) -> None:
-        """Renders a small image of the scene when no view moves, with the renderer of still views.
+        """Queues a small image of the scene, rendered with the still-view renderer once no view moves.
 
         Args:
             camera: Camera, with the size of the image.
@@ -229,7 +234,10 @@ class RenderLoop:
         self.run_in_background(work())
 
     def must_yield(self) -> bool:
-        """True if a long frame must stop, because a view moved or the viewer is closing. Thread-safe."""
+        """True if a long still frame must stop early: a page waits for a frame of a new view, or the viewer closes.
+
+        May be called from any thread.
+        """
         revision = self._session.revision
         pages = [page for page in list(self._pages) if page.pose is not None]
         return not self._is_open or any(p.key != (revision, p.pose_number) and p.takes_frames for p in pages)
@@ -248,7 +256,7 @@ class RenderLoop:
         self._levels.close()
 
     def _is_busy(self) -> bool:
-        """True if a view moves or a page waits for its first image; long steps should then wait."""
+        """True if a view moved in the last `SETTLED_S` seconds or a page has no image yet; background work pauses."""
         with self._session.changed:
             is_waiting = any(page.key is None and page.pose is not None for page in self._pages)
         return is_waiting or time.monotonic() - self._moved_at < SETTLED_S
@@ -285,7 +293,13 @@ class RenderLoop:
             steps.close()
 
     def _next_background_job(self, job: _Job | None) -> Generator[None] | None:
-        """Returns the background job to continue next; None if a frame comes first. The caller holds the lock."""
+        """Returns the background job whose step runs next, or None if there is none or a frame is rendered first.
+
+        Frames of moving views come first; frames of still views alternate with steps. The caller holds the lock.
+
+        Args:
+            job: Next frame to render; None if no page needs one.
+        """
         if not self._background or (job is not None and (job.moves or not self._background_waited)):
             self._background_waited = bool(self._background)
             return None
@@ -293,7 +307,7 @@ class RenderLoop:
         return self._background[0]
 
     def _step(self, steps: Generator[None]) -> None:
-        """Runs one step of a background job and removes the job when it ends."""
+        """Runs one step of a background job; removes the job from the queue when it has ended or failed."""
         try:
             next(steps)
             return
@@ -304,14 +318,14 @@ class RenderLoop:
         self._background.popleft()
 
     def _give_up(self, job: _Job, error: Exception) -> None:
-        """Reports an error, and stops rendering for the page until its view or the scene changes."""
+        """Reports why a frame failed, and does not retry it until the page's camera or the scene changes."""
         with self._session.changed:
             job.page.key, job.page.is_finished = job.key, True
             self._session.changed.notify_all()
         self._report(error)
 
     def _report(self, error: Exception) -> None:
-        """Reports an error to the pages and logs the traceback, unless the error is a LumisplatError."""
+        """Shows an error on the pages; an unexpected one (no LumisplatError) is also logged with its traceback."""
         if not isinstance(error, ls.LumisplatError):
             _log.error("the viewer failed to render a frame:\n%s", traceback.format_exc())
         self._session.report(" ".join(str(error).split()) or type(error).__name__)
@@ -319,7 +333,10 @@ class RenderLoop:
     # --- Scheduling; the caller holds the lock ---
 
     def _next_job(self) -> _Job | None:
-        """Returns the next frame to render: of a changed view, else of an unfinished still view; None without work."""
+        """Returns the next frame to render: of a page whose view changed, else of a still view that needs samples.
+
+        Returns None if all pages are finished.
+        """
         now = time.monotonic()
         resting: Page | None = None
         for page in self._pages:
@@ -343,27 +360,27 @@ class RenderLoop:
         return _Job(page, key, page.pose, session.state, session.opened, session.options, moves)
 
     def _purposes(self, job: _Job) -> list[Hashable]:
-        """Returns the purposes of the renderers that a job needs; all other renderers can be freed."""
+        """Returns the keys of the renderers that frames of the current settings use; all others can be freed."""
         in_sequence = job.state.config.pipeline.is_sequence
         purposes: list[Hashable] = [*self._pages] if in_sequence else [_MOVING, _AT_REST]
         return purposes if job.options.split is None else [*purposes, (_BEFORE, True), (_BEFORE, False)]
 
     def _move_to_back(self, page: Page) -> None:
-        """Moves a page to the end of the list, so that pages take turns."""
+        """Moves a page to the end of the list of pages, so that all pages get frames in turn."""
         self._pages.remove(page)
         self._pages.append(page)
 
     def _time_to_rest(self) -> float | None:
-        """Returns the seconds until the next moving view counts as still; None if all views are still."""
+        """Returns the seconds until a view that has stopped moving gets full frames; None if all pages are finished."""
         waiting = [page.changed_at + SETTLED_S for page in self._pages if page.key is not None and not page.is_finished]
         return max(min(waiting) - time.monotonic(), 1e-3) if waiting else None
 
     # --- Frames ---
 
     def _develop(self, job: _Job) -> bool:
-        """Applies exposure, tone map and view to the page's last frame again, without rendering.
+        """Shows the page's last frame again with a new exposure, tone map or AOV view, without rendering.
 
-        Returns False, and does nothing, if anything else has changed.
+        Returns False, and does nothing, if camera, document or other settings have changed, or *compare* is on.
         """
         page, state, options = job.page, job.state, job.options
         config = frame_config(state.config, options.view)
@@ -389,7 +406,7 @@ class RenderLoop:
         return True
 
     def _render_moving(self, job: _Job) -> None:
-        """Renders a frame of a changed view, with as much detail as the time budget allows."""
+        """Renders one frame of a changed view, at the level of detail and resolution that fit the time budget."""
         page, state, options = job.page, job.state, job.options
         self._moved_at = time.monotonic()
         is_limited_by_pixels = state.config.pipeline.bounces_light  # the frame time depends on the pixel count
@@ -418,7 +435,7 @@ class RenderLoop:
         self._on_frame(page, step, took)
 
     def _render_at_rest(self, job: _Job) -> None:
-        """Renders the first full frame of a still view, or adds its next sample."""
+        """Renders the first frame of a still view at full detail, or adds one sample per pixel to it."""
         page, state, options = job.page, job.state, job.options
         started = time.perf_counter()
         config = frame_config(state.config, options.view)
@@ -450,14 +467,17 @@ class RenderLoop:
         self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
 
     def _picture(self, job: _Job, frame: ls.Frame, level: int) -> Picture:
-        """Converts a frame to the image that a page shows, with comparison and overlays as the view options ask."""
+        """Converts a frame to an sRGB image; adds the *compare* side and the overlays that the view options select."""
         picture, share = frame_image(frame, job.options.view), job.options.split
         if share is not None:
             picture = split_image(self._before_image(job, frame.camera, level), picture, share)
         return self._overlay(picture, frame)
 
     def _before_image(self, job: _Job, camera: ls.Camera, level: int) -> Picture:
-        """Renders the left side of the comparison; in a still view, with `BEFORE_SAMPLES` samples per pixel."""
+        """Returns the image of the earlier state for option *compare*, rendered again only if camera or scene changed.
+
+        A still view has `BEFORE_SAMPLES` samples per pixel, a moving view one.
+        """
         page, options = job.page, job.options
         config = frame_config(job.before.config, options.view)
         if not config.pipeline.is_sequence and not job.moves:
@@ -474,22 +494,29 @@ class RenderLoop:
 
 
 def _frame_inputs(job: _Job, config: ls.RenderConfig) -> tuple[object, ...]:
-    """Returns the inputs that determine a frame, except its exposure and tone map."""
+    """Returns what a frame depends on before tone mapping: document, camera, settings, height and time."""
     undeveloped = replace(config, tone_map=ls.ToneMap.NONE)
     return job.state.document, job.pose, undeveloped, job.options.height, job.options.time
 
 
 def _has_same_inputs(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
-    """True if two results of `_frame_inputs` have the same document object and equal other values."""
+    """True if two results of `_frame_inputs` hold the same document object, by identity, and equal other values."""
     return one[0] is other[0] and one[1:] == other[1:]
 
 
 def _ignore(label: str, fraction: float) -> None:
-    """Discards progress; passing a progress function makes the renderer estimate the noise."""
+    """Progress function that does nothing; a renderer estimates the noise only if it is given a progress function."""
 
 
 def _is_finished(frame: ls.Frame, frame_count: int, noise: float | None, config: ls.RenderConfig) -> bool:
-    """True if a still view needs no further frame, given its last frame, number of frames, and noise."""
+    """True if a still view needs no further frame: enough samples or frames, noise below the limit, or exact raster.
+
+    Args:
+        frame: Last frame of the view; 0 samples mean the sorted raster pipeline, whose image is exact.
+        frame_count: Number of frames rendered since the view stopped moving.
+        noise: Estimated relative error; None if unknown.
+        config: Render settings of the scene, which may limit samples and noise.
+    """
     if config.pipeline.is_sequence:
         return frame_count >= REALTIME_FRAMES_AT_REST
     if frame.samples == 0:

@@ -1,4 +1,4 @@
-"""State of one open page: camera, level of detail, frames, and the screen that displays them."""
+"""One open page of the viewer: its camera, its last frame, and the thread that sends images to its screen."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DetailStep:
-    """Level of detail and resolution of a frame."""
+    """Quality of a moving view's frame: which level of detail of the captures, and at which resolution."""
 
     level: int
     """Level of detail, an index into `LEVEL_FRACTIONS`."""
     scale: float
-    """Resolution scale, one of `PIXEL_SCALES`."""
+    """Width and height relative to a still view's frame, one of `PIXEL_SCALES`."""
 
 
 _LAST = len(LEVEL_FRACTIONS) - 1
@@ -48,31 +48,36 @@ GAUSSIAN_STEPS = (
     *(DetailStep(level, PIXEL_SCALES[-2]) for level in range(2, _LAST + 1)),
     DetailStep(_LAST, PIXEL_SCALES[-1]),
 )
-"""Detail steps for frames whose time depends on the Gaussian count. A quarter of the Gaussians is three times faster;
-half the pixels saves a sixth of the time."""
+"""Detail steps, finest first, for pipelines whose frame time depends mostly on the number of Gaussians. A quarter of
+the Gaussians is three times faster; half the pixels saves only a sixth of the time, so Gaussians are reduced first."""
 
 PIXEL_STEPS = tuple(DetailStep(0, scale) for scale in PIXEL_SCALES)
-"""Detail steps for frames whose time depends on the ray count, or that reuse earlier frames."""
+"""Detail steps, finest first, for pipelines that trace bounced light: only the resolution is reduced, because the
+frame time depends on the number of rays."""
 
 
 def first_step(count: int) -> int:
-    """Returns the index into `GAUSSIAN_STEPS` for the first frame of a scene with ``count`` Gaussians."""
+    """Returns the index into `GAUSSIAN_STEPS` for a moving view's first frame, before any frame time is known.
+
+    Args:
+        count: Number of Gaussians in the scene.
+    """
     level = next((n for n in range(1, _LAST) if count * LEVEL_FRACTIONS[n] <= MOVING_GAUSSIANS_MAX), _LAST)
     return next(number for number, step in enumerate(GAUSSIAN_STEPS) if step.level == level)
 
 
 class DetailController:
-    """Chooses the detail step of the next frame from the times of earlier frames.
+    """Chooses the detail of a moving view's next frame, so that frame times stay within a budget.
 
     Args:
-        steps: Steps from finest to coarsest.
-        first: Index of the first step.
+        steps: Detail steps from finest to coarsest.
+        first: Index into ``steps`` for the first frame.
     """
 
     def __init__(self, steps: tuple[DetailStep, ...] = GAUSSIAN_STEPS, first: int = 1) -> None:
         self.steps, self._index = steps, first
         self._recent_ms: dict[int, float] = {}
-        """Recent frame time of each step, milliseconds."""
+        """Smoothed frame time of each step that has been used, milliseconds, by index into ``steps``."""
         self._frames_held = 0
 
     @property
@@ -81,10 +86,12 @@ class DetailController:
         return self.steps[self._index]
 
     def record(self, milliseconds: float, budget: float) -> None:
-        """Records the time of a frame and chooses the next step.
+        """Records the time of a frame and chooses the step of the next one.
+
+        A frame over budget selects a coarser step at once; a finer step follows only after `DETAIL_HOLD_FRAMES` frames.
 
         Args:
-            milliseconds: Time of the frame.
+            milliseconds: Time of the frame that was rendered with the current step.
             budget: Time budget of a frame, milliseconds.
         """
         known = self._recent_ms.get(self._index, milliseconds)
@@ -112,14 +119,14 @@ _BACKGROUND_GRAY = 32
 
 @dataclass(frozen=True)
 class ScreenImage:
-    """Image to display next on a page."""
+    """Image that waits to be sent to a page, with its JPEG quality and the depth that occludes gizmos."""
 
     picture: Picture
     """sRGB image, shape (H, W, 3), uint8."""
     quality: int
     """JPEG quality, 1 to 95."""
     depth: npt.NDArray[np.float32] | None = None
-    """View depth of every `DEPTH_STRIDE`-th pixel, page units; None for a moving view."""
+    """View depth at every `DEPTH_STRIDE`-th pixel of each axis, page units; None for a moving view."""
 
 
 def frame_image(frame: ls.Frame, view: str) -> Picture:
@@ -142,14 +149,14 @@ def frame_image(frame: ls.Frame, view: str) -> Picture:
 
 
 def page_depth(frame: ls.Frame, page_from_scene: float) -> npt.NDArray[np.float32]:
-    """Returns the view depth of a frame at every `DEPTH_STRIDE`-th pixel, page units, to occlude gizmos on the page."""
+    """Returns a frame's view depth at every `DEPTH_STRIDE`-th pixel, page units; 1000 where no surface is."""
     half = DEPTH_STRIDE // 2
     depth = frame.depth_z[half::DEPTH_STRIDE, half::DEPTH_STRIDE] * page_from_scene
     return np.nan_to_num(depth, nan=1e3, posinf=1e3).astype(np.float32)
 
 
 def split_image(before: Picture, after: Picture, share: float) -> Picture:
-    """Joins two images of one size: ``before`` fills the left fraction ``share``, with a white line at the border."""
+    """Joins two images of one size: ``before`` fills the left fraction ``share``, ``after`` the rest; white border."""
     column = min(max(round(share * after.shape[1]), 0), after.shape[1] - 1)
     joined = after.copy()
     joined[:, :column] = before[:, :column]
@@ -158,49 +165,55 @@ def split_image(before: Picture, after: Picture, share: float) -> Picture:
 
 
 class Screen(Protocol):
-    """Display for a page's images: a browser page or a notebook cell."""
+    """Interface of whatever displays a page's images: a `BrowserScreen`, or a `CellScreen` in a notebook."""
 
     def show(self, shown: ScreenImage) -> None:
-        """Sends an image and waits until it is displayed or a timeout ends the wait."""
+        """Sends an image and waits until the display acknowledges it, or until a timeout."""
         ...
 
     def close(self) -> None:
-        """Ends a wait in `show`, from another thread."""
+        """Makes a `show` that waits in another thread return."""
         ...
 
 
 class Page:
-    """An open page, with a thread that sends images to its screen.
+    """Camera and frames of one open page, with a thread that sends its images to a screen.
 
-    The thread sends the newest image after the screen has displayed the last one, so that no queue builds up.
+    The thread sends only the newest image, and only after the screen has displayed the last one; older ones are
+    dropped.
 
     Args:
         screen: Screen that displays the images.
-        changed: Condition whose lock guards the page's state; the page notifies it of changes.
+        changed: Condition of the session, whose lock guards the page's fields; the page notifies it when it has sent.
     """
 
     def __init__(self, screen: Screen, changed: threading.Condition) -> None:
         self._screen, self._changed = screen, changed
         self.pose: Pose | None = None
-        """Camera of the page; None if the page is not visible and gets no frames."""
+        """Camera of the page; None before the page has reported one, and while a notebook cell is hidden: no frames
+        then."""
         self.pose_number = 0
         self.fitted_aspects: set[float] = set()
-        """Aspect ratios for which the viewer placed the camera so that the whole scene fits."""
+        """Aspect ratios, width over height, for which the viewer has moved the camera so that the whole scene fits."""
         self.changed_at = 0.0
-        """Time of the last change of the view, seconds of the monotonic clock."""
+        """Time of the last frame of a changed view, seconds of the monotonic clock; full frames wait `SETTLED_S`
+        longer."""
         self.key: tuple[int, int] | None = None
-        """Session revision and pose number of the last frame, rendered or failed."""
+        """`Session.revision` and the page's ``pose_number`` for the last frame, rendered or failed; a different pair
+        means that a new frame is due. None before the first frame."""
         self.detail = DetailController()
         self.frame: ls.Frame | None = None
-        """Frame that the page displays."""
+        """Last rendered frame of the page; None before the first."""
         self.content: tuple[object, ...] | None = None
-        """Inputs that determine the displayed frame, except exposure and tone map; None before a frame."""
+        """Document, camera, settings, height and time of the last frame; None before the first. If a change leaves
+        them equal, only exposure or tone map have changed, and the frame is developed again instead of rendered."""
         self.before_image: Picture | None = None
-        """Image of the left side of the comparison."""
+        """Last image of the earlier state that option *compare* shows on the left; None before one was rendered."""
         self.before_image_key: object = None
-        """View and size for which `before_image` was rendered."""
+        """Frame key, motion, level of detail and size for which `before_image` was rendered; other values need a new
+        image."""
         self.is_finished = False
-        """True if a still view needs no further samples."""
+        """True if the view is still and its frame has enough samples."""
         self.noise: float | None = None
         self.frames_at_rest = 0
         self.is_open = True
@@ -219,17 +232,17 @@ class Page:
 
     @property
     def takes_frames(self) -> bool:
-        """True if no image waits to be sent, so that a new image would be displayed next."""
+        """True if the page is open and no image is queued, so that a new image would be sent next."""
         return self.is_open and self._waiting is None
 
     @property
     def is_at_rest(self) -> bool:
-        """True if the page has displayed and acknowledged the finished image of a still view."""
+        """True if the view is still, its frame has enough samples, and the screen has displayed it."""
         with self._changed:
             return self.is_finished and self._waiting is None and not self._is_sending
 
     def show(self, shown: ScreenImage) -> None:
-        """Queues an image to send next, replacing one that still waits."""
+        """Queues an image for the screen; it replaces an image that has not been sent yet."""
         with self._changed:
             self._waiting = shown
             self._changed.notify_all()
@@ -272,7 +285,7 @@ class BrowserScreen:
         self._answers = True
 
     def show(self, shown: ScreenImage) -> None:
-        """Sends an image and waits until the page has received it."""
+        """Sends an image and waits until the page acknowledges it, at most `BUSY_ANSWER_S` seconds."""
         self._client.scene.set_background_image(
             shown.picture, format="jpeg", jpeg_quality=shown.quality, depth=shown.depth
         )
@@ -280,11 +293,11 @@ class BrowserScreen:
         self._await_answer()
 
     def close(self) -> None:
-        """Ends a wait in `show`."""
+        """Makes a `show` that waits in another thread return."""
         self._is_open = False
 
     def _await_answer(self) -> None:
-        """Waits until the page has processed its messages, by a request that viser pages answer in order."""
+        """Waits until the page answers a request, which it does only after it has displayed all images sent before."""
         until = time.monotonic() + (BUSY_ANSWER_S if self._has_answered else ANSWER_S)
         while self._answers and self._is_open:
             try:

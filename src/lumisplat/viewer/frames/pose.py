@@ -1,4 +1,4 @@
-"""Camera pose of a page, and the first view that pages start with."""
+"""Camera of a page, and the start camera that frames the whole scene."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ ASPECT_RANGE = (0.1, 10.0)
 
 _WIDTH_MULTIPLE = 2
 _LEVEL = 1e-3
-"""Sine of the largest roll angle of a camera that counts as level."""
+"""Largest ``|sin(roll)|`` of a camera that counts as level, so that the page orbits about the scene's up direction."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Camera of a page, in scene units."""
+    """Camera of a page in scene units: position, rotation, vertical field of view, aspect ratio and orbit distance."""
 
     position: tuple[float, float, float]
     wxyz: tuple[float, float, float, float]
@@ -36,11 +36,11 @@ class Pose:
     aspect: float
     """Aspect ratio, width over height."""
     focus: float
-    """Distance to the orbit centre of the camera."""
+    """Distance from the camera to the point that it orbits, scene units."""
 
     @classmethod
     def of(cls, camera: viser.CameraHandle, page_from_scene: float) -> Pose:
-        """Returns the pose of a page's camera, as last reported by the page."""
+        """Returns the camera that a page last reported, converted from page units to scene units."""
         position = np.asarray(camera.position) / page_from_scene
         target = np.asarray(camera.look_at) / page_from_scene
         low, high = ASPECT_RANGE
@@ -56,7 +56,7 @@ class Pose:
 
     @classmethod
     def through(cls, camera: ls.Camera, focus: float) -> Pose:
-        """Returns the pose of a scene camera; ``focus`` is the distance to the orbit centre."""
+        """Returns the pose of a scene camera; ``focus`` is its distance to the point that the page will orbit."""
         from viser import transforms
 
         world_from_camera = np.linalg.inv(camera.camera_from_world)
@@ -66,7 +66,7 @@ class Pose:
 
     @property
     def target(self) -> tuple[float, float, float]:
-        """World position of the orbit centre, at the centre of the image."""
+        """World position of the point that the camera orbits, which is at the centre of the image."""
         forward = self._camera_from_world()[2, :3]
         x, y, z = (float(value) for value in np.asarray(self.position) + max(self.focus, 1e-3) * forward)
         return x, y, z
@@ -105,13 +105,14 @@ class Pose:
 def move_page_to(
     client: viser.ClientHandle, camera: ls.Camera, page_from_scene: float, up: tuple[float, float, float]
 ) -> None:
-    """Moves a page to a camera; the page then orbits the camera's focus point.
+    """Moves a page's view to a camera; the page then orbits the point at the camera's focus distance.
 
     Args:
         client: Connection of the page.
         camera: Camera to move to.
         page_from_scene: Page units per scene unit.
-        up: Up direction of the scene, the page's next orbit axis. A rolled camera uses its own up direction instead.
+        up: Up direction of the scene, about which the page orbits afterwards. If the camera is rolled against it, the
+            page orbits about the camera's own up direction instead.
     """
     right, down, forward = camera.camera_from_world[:3, :3]
     is_level = abs(right @ np.array(up)) < _LEVEL < -down @ np.array(up)
@@ -122,30 +123,32 @@ def move_page_to(
 
 
 ASPECT = 16.0 / 9.0
-"""Aspect ratio of a landscape screen, width over height. The first view moves back on narrower pages."""
+"""Aspect ratio for which the start camera is framed, width over height; on narrower pages the camera stands farther
+away."""
 _NARROW = 0.4
 """Aspect ratio, width over height, of the narrowest pages: phones, where the panel covers the lower part."""
 FOV_Y = 0.8
-"""Vertical field of view, radians."""
+"""Vertical field of view of the start camera, radians, unless the scene specifies a first view."""
 
 Point = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class FirstView:
-    """First view of a scene, in page units: the view that the scene specifies, else a front view of the whole scene."""
+    """Start camera of pages, in page units: the scene's stated first view, else a front view of the whole scene."""
 
     position: tuple[float, float, float] = (0.0, 0.0, -3.0)
-    """Camera position on a page with the aspect ratio `aspect`."""
+    """Camera position on a page whose aspect ratio is the field `aspect`, page units."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
     fov_y: float = FOV_Y
     """Vertical field of view, radians."""
     aspect: float = ASPECT
-    """Aspect ratio for which `position` fits; on narrower pages the camera moves back, depending on the scene's width.
+    """Aspect ratio, width over height, from which on `position` shows the whole scene; on narrower pages the camera
+    moves back along its view direction.
     """
     narrow: float = ASPECT / _NARROW
-    """Factor of the camera distance on a page with the aspect ratio `_NARROW`."""
+    """Camera distance on a phone (aspect ratio `_NARROW`) divided by that at aspect ratio `aspect`, >= 1."""
 
     @classmethod
     def of(cls, scene: ls.Scene) -> FirstView:
@@ -164,7 +167,7 @@ class FirstView:
         return cls((x, y, z), (u, v, w), scene.up_direction, camera.fov_y, aspect, narrow)
 
     def at(self, aspect: float) -> tuple[Point, Point]:
-        """Returns the camera position and the target for a page with an aspect ratio."""
+        """Returns camera position and orbit target, page units, for a page with an aspect ratio, width over height."""
         target = np.array(self.target)
         # The required distance is convex in 1 / aspect, so linear interpolation never underestimates it.
         share = max(0.0, (1.0 / aspect - 1.0 / self.aspect) / (1.0 / _NARROW - 1.0 / self.aspect))

@@ -1,6 +1,6 @@
-"""Builds the scene of a frame: at an animation time, at a level of detail, with actors lit by the capture.
+"""Builds the scene that a frame renders: at an animation time and level of detail, with lit actors.
 
-A background thread builds the levels of detail of each capture once.
+A background thread reduces each capture to its levels of detail once.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ Progress = Callable[[str, float], None]
 
 @dataclass(eq=False)
 class _ActorLighting:
-    """Lighters of actors in one static scene."""
+    """Cache of the objects that light actors by the captures around them; valid for one scene, lighting, background."""
 
     scene: ls.Scene
     lighting: ls.config.AvatarLightingConfig
     background: tuple[float, float, float]
     lighters: dict[int, tuple[ls.Scene, ls.AvatarLighter]] = field(default_factory=lambda: {})
-    """Static scene and its lighter for each level of detail."""
+    """Static scene at a level of detail and the `AvatarLighter` made for it, by level."""
     has_failed: bool = False
-    """True if light estimation failed; actors then show their captured colours."""
+    """True if estimating the scene's lights failed; actors are then shown in their captured colours, unlit."""
 
     def matches(
         self, scene: ls.Scene, lighting: ls.config.AvatarLightingConfig, background: tuple[float, float, float]
@@ -54,7 +54,7 @@ class _ActorLighting:
 
 
 class SceneBuilder:
-    """Builds the scenes of frames.
+    """Builds the scene of each frame from a scene document.
 
     Actors cast shadows on captures and receive the light at their position, as in ``lumisplat animate``.
 
@@ -62,7 +62,7 @@ class SceneBuilder:
         levels: Levels of detail of captures.
         device: Device, as in `lumisplat.create_renderer`.
         progress: Receives progress messages of long steps.
-        report: Receives the reason if actors cannot be lit.
+        report: Receives a message that says why actors cannot be lit.
     """
 
     def __init__(self, levels: Levels, device: str, progress: Progress, report: Callable[[str], None]) -> None:
@@ -70,7 +70,8 @@ class SceneBuilder:
         self._animation: tuple[ls.io.SceneDocument, ls.Animation | None] | None = None
         self._stage: _ActorLighting | None = None
         self._last: dict[int, tuple[tuple[object, ...], ls.Scene]] = {}
-        """Inputs and result of the last scene, by level of detail. Returning the same objects avoids another upload."""
+        """Arguments and result of the last call of `of`, by level of detail. Equal arguments get the same scene
+        object, which the renderer does not upload again."""
 
     def of(
         self, document: ls.io.SceneDocument, config: ls.RenderConfig, time: float, level: int, *, waits: bool
@@ -104,7 +105,7 @@ class SceneBuilder:
     def _with_actors(
         self, animation: ls.Animation, stage: _ActorLighting | None, still: ls.Scene, time: float, level: int
     ) -> ls.Scene:
-        """Returns a static scene with the actors at a time, lit if actor lighting is given."""
+        """Returns a static scene with the actors added at a time in seconds, lit by ``stage`` or, if None, unlit."""
         placed = [(instance, actor) for actor in animation.actors for instance in actor.at(time)]
         instances = [instance for instance, _ in placed]
         if stage is not None:
@@ -124,7 +125,14 @@ class SceneBuilder:
     def _avatar_lighter(
         self, animation: ls.Animation, stage: _ActorLighting, still: ls.Scene, level: int
     ) -> ls.AvatarLighter:
-        """Returns the actors' lighter at a level of detail; lights are estimated once, at the first frame."""
+        """Returns the actors' lighter for a level of detail; levels > 0 use the lights estimated at full detail.
+
+        Args:
+            animation: Actors, and the lights of the scene if it has any.
+            stage: Cache of lighters.
+            still: Static scene at the level of detail.
+            level: Level of detail; 0 is full detail, at which lights are estimated from frame 0.
+        """
         held = stage.lighters.get(level)
         if held is not None and held[0] is still:
             return held[1]
@@ -153,7 +161,13 @@ class SceneBuilder:
     def _actor_lighting_of(
         self, animation: ls.Animation, background: tuple[float, float, float], *, waits: bool
     ) -> _ActorLighting | None:
-        """Returns the current actor lighting, or a new one if ``waits``; None means that actors are shown unlit."""
+        """Returns the cached actor lighting if it is still valid; None means that actors are shown unlit.
+
+        Args:
+            animation: Scene, and the settings of actor lighting.
+            background: Linear RGB of the background.
+            waits: True replaces a cache that is out of date, which takes time; False returns None for it.
+        """
         lighting, scene = animation.lighting, animation.scene
         if not scene.splats or not (lighting.shadows or lighting.relight):
             return None
@@ -165,7 +179,7 @@ class SceneBuilder:
 
 
 def _are_same_objects(first: Sequence[object], second: Sequence[object]) -> bool:
-    """True if two sequences contain the same objects, compared by identity."""
+    """True if two sequences have the same length and hold identical objects (``is``) in the same order."""
     return len(first) == len(second) and all(a is b for a, b in zip(first, second, strict=True))
 
 
@@ -174,21 +188,21 @@ _Indices = npt.NDArray[np.intp]
 
 @dataclass(eq=False)
 class _CaptureLevels:
-    """Levels of detail of a capture that exist so far."""
+    """Reduced versions of one capture that have been built so far, by level of detail."""
 
     levels: dict[int, ls.Gaussians] = field(default_factory=dict[int, ls.Gaussians])
     thinned: dict[int, ls.Gaussians] = field(default_factory=dict[int, ls.Gaussians])
-    """Thinned captures that stand in for levels not built yet."""
+    """Every N-th Gaussian of the capture, by level of detail; shown until the merged level has been built."""
     coarsest: int = 0
-    """Coarsest level requested so far."""
+    """Largest level number that scenes with this capture need; levels 1 to this one are built."""
 
 
 class Levels:
-    """Builds levels of detail of captures in a background thread and provides those that exist.
+    """Builds reduced versions of captures (levels of detail) in a background thread.
 
     Args:
-        on_made: Called when a level is ready, in the background thread.
-        progress: Receives the completed fraction of a capture's levels, 0 to 1, in the background thread.
+        on_made: Called in the background thread when the levels of a capture are ready.
+        progress: Called in the background thread with the completed fraction of a capture's levels, 0 to 1.
         is_busy: Returns True while a view moves; the thread then pauses, so that frames get the processor.
     """
 
@@ -201,14 +215,17 @@ class Levels:
         self._on_made, self._progress, self._is_busy = on_made, progress, is_busy
         self._made: weakref.WeakKeyDictionary[ls.Gaussians, _CaptureLevels] = weakref.WeakKeyDictionary()
         self._scenes: dict[int, tuple[ls.Scene, ls.Scene]] = {}
-        """Last requested scene and its reduced version, by level."""
+        """Last complete result of `scene` by level: the scene that was passed, and its reduced version."""
         self._wanted: SimpleQueue[weakref.ref[ls.Gaussians] | None] = SimpleQueue()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="lumisplat levels", daemon=True)
         self._thread.start()
 
     def scene(self, scene: ls.Scene, level: int) -> ls.Scene:
-        """Returns a scene whose captures have a level of detail, or stand-ins until that level exists.
+        """Returns a scene with its captures reduced to a level of detail; requests levels that do not exist yet.
+
+        Until a level exists, a scene of more than `MOVING_GAUSSIANS_MAX` Gaussians is thinned; a smaller one is not
+        reduced.
 
         Args:
             scene: Scene with all Gaussians.
@@ -231,13 +248,20 @@ class Levels:
         return coarse
 
     def close(self) -> None:
-        """Ends the thread after the block of Gaussians that it is merging."""
+        """Ends the thread once the block of Gaussians that it is merging is done."""
         self._closing.set()
         self._wanted.put(None)
         self._thread.join()
 
     def _level(self, gaussians: ls.Gaussians, level: int, coarsest: int, *, thins: bool) -> tuple[ls.Gaussians, bool]:
-        """Returns a capture's level of detail or a stand-in, and True if the result is the requested level."""
+        """Returns a capture at a level of detail, and True; or a stand-in, and False, while the level is being built.
+
+        Args:
+            gaussians: The capture with all Gaussians.
+            level: Level of detail; lowered until the level has at least `LEVEL_CAPTURE_MIN` Gaussians.
+            coarsest: Largest level number to build for this capture.
+            thins: True makes every N-th Gaussian the stand-in; False returns the whole capture instead.
+        """
         while level and gaussians.count * LEVEL_FRACTIONS[level] < LEVEL_CAPTURE_MIN:
             level -= 1
         if level == 0:
@@ -262,7 +286,7 @@ class Levels:
             del gaussians
 
     def _make(self, gaussians: ls.Gaussians) -> None:
-        """Builds the requested levels of a capture that do not exist yet, block by block."""
+        """Builds the missing levels of a capture by merging neighbours, block by block; pauses while views move."""
         made = self._made[gaussians]
         numbers = [number for number in range(1, made.coarsest + 1) if number not in made.levels]
         self._progress(0.0)
@@ -286,14 +310,14 @@ class Levels:
         self._on_made()
 
     def _pause_while_busy(self, longest: float) -> None:
-        """Waits while views move, at most the given number of seconds."""
+        """Waits until no view moves, at most ``longest`` seconds."""
         until = time.monotonic() + longest
         while self._is_busy() and time.monotonic() < until and not self._closing.wait(0.02):
             pass
 
 
 def thinned(gaussians: ls.Gaussians, fraction: float) -> ls.Gaussians:
-    """Returns every ``1 / fraction``-th Gaussian of a capture, enlarged by the cube root of ``1 / fraction``.
+    """Returns every N-th Gaussian of a capture, N = ``1 / fraction``, with scales multiplied by the cube root of N.
 
     The square root would preserve covered area, and no scaling would preserve outlines. The cube root is between them
     and gives the image closest to that of all Gaussians.
@@ -304,12 +328,12 @@ def thinned(gaussians: ls.Gaussians, fraction: float) -> ls.Gaussians:
 
 
 def _coarsest(count: int) -> int:
-    """Returns the coarsest level of detail for a scene with ``count`` Gaussians."""
+    """Returns the largest level number for which ``count`` Gaussians are reduced to at least `LEVEL_GAUSSIANS_MIN`."""
     return sum(round(count * fraction) >= LEVEL_GAUSSIANS_MIN for fraction in LEVEL_FRACTIONS[1:])
 
 
 def _blocks(means: npt.NDArray[np.float32], rows: _Indices) -> Generator[_Indices]:
-    """Yields the indices of Gaussians in k-d tree boxes of similar counts, at most `LEVEL_BLOCK` each."""
+    """Yields the indices of a capture's Gaussians in k-d tree boxes of neighbours, at most `LEVEL_BLOCK` in each."""
     if rows.size <= LEVEL_BLOCK:
         yield rows
         return

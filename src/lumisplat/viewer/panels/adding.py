@@ -28,18 +28,18 @@ _READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".us
 _LIGHTS = ("point", "spot", "directional", "sphere", "rect", "disk")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
-"""Folder for uploaded files, within the scene's folder."""
+"""Name of the folder, beside the scene file, into which uploaded files are saved."""
 _NAME_MAX = 100
 """Longest name of an uploaded file, characters."""
 _NEW_LIGHT_POSITION = (-0.45, -0.7, 0.5)
-"""Position of new lights: horizontal and vertical image coordinates, -1 to 1, and the fraction of the distance to the
-orbit centre. The position is close enough to the image centre not to be behind the panel."""
+"""Where new lights appear in a page's view: horizontal and vertical image coordinate, -1 to 1 from the centre, and the
+depth as a fraction of the distance to the orbit centre. Farther from the centre, the panel could hide the light."""
 _NEW_LIGHT_IRRADIANCE = 3.0
-"""Irradiance that a new light produces at the page's orbit centre."""
+"""Irradiance that a new light produces on a surface that faces it at the point that the page orbits."""
 
 
 class AddPanel:
-    """Controls that add entries to the scene, in the current GUI folder.
+    """Controls that add lights, shapes and files to the scene, in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -64,7 +64,7 @@ class AddPanel:
         upload.on_upload(add_upload)
 
     def list_files(self) -> None:
-        """Updates the list of files in the scene's folder."""
+        """Updates the dropdown of readable files in the folder of the scene file."""
         self._file.options = [_NOTHING, *sorted(path.name for path in self._beside())]
 
     @property
@@ -78,7 +78,11 @@ class AddPanel:
             return []
 
     def _add(self, asked: tuple[Any, str]) -> None:
-        """Adds a light in view of the page, an environment, or a shape on the ground."""
+        """Adds a light in the page's view, an environment, or a shape beside the other objects.
+
+        Args:
+            asked: Event of the page, and the label of the pressed button, such as ``spot light``.
+        """
         event, kind = asked[0], asked[1].removesuffix(" light")
         pose = pose_of_page(self._pages, event)
         if pose is None:
@@ -92,14 +96,22 @@ class AddPanel:
             self._insert("meshes", {"shape": kind, "size": 0.1 * self._session.extent.size})
 
     def _add_file(self, asked: tuple[str, bool]) -> None:
-        """Adds a file of the scene's folder, as an actor if asked; names that are not in the folder are ignored."""
+        """Adds a file from the folder of the scene file; does nothing if no such file is there.
+
+        Args:
+            asked: File name, and True to add the file as an actor.
+        """
         name, moves = asked
         for path in self._beside():
             if path.name == name:
                 self._insert_file(path, moves=moves)
 
     def _add_upload(self, asked: tuple[Any, bool]) -> None:
-        """Saves an uploaded file in the scene's folder under a safe, unused name, and adds it, as an actor if asked."""
+        """Saves an uploaded file beside the scene file under a safe, unused name, and adds it to the scene.
+
+        Args:
+            asked: File name and content from viser, and True to add the file as an actor.
+        """
         file, moves = asked
         suffix = Path(file.name).suffix.lower()
         if suffix not in _READABLE or suffix == ".gltf":
@@ -117,7 +129,12 @@ class AddPanel:
             target.unlink(missing_ok=True)
 
     def _insert_file(self, path: Path, *, moves: bool) -> bool:
-        """Adds a file as an entry; an environment image replaces the image of the environment."""
+        """Adds a file to the scene, an environment image as the environment's image. Returns True on success.
+
+        Args:
+            path: File in or below the folder of the scene file.
+            moves: True adds a capture or mesh as an actor.
+        """
         name = path.relative_to(self._folder).as_posix()
         kind, table = _kind_of(path), {"path": name}
         if kind == "environment":
@@ -127,7 +144,12 @@ class AddPanel:
         return done
 
     def _insert(self, kind: Any, table: dict[str, Any]) -> bool:
-        """Adds an entry and selects it; `SceneDocument.added` places meshes and actors beside the existing objects."""
+        """Adds an entry to the document and selects it; meshes and actors go beside existing objects. True on success.
+
+        Args:
+            kind: Table of the scene file, such as ``lights``.
+            table: Keys and values of the entry.
+        """
 
         def insert(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
             scene = document.scene()
@@ -137,15 +159,18 @@ class AddPanel:
         return self._session.apply(insert)
 
     def _selected(self, document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
-        """Selects an entry and returns the document unchanged, so that selection and new entry appear at once."""
+        """Selects an entry that an edit in progress has added to ``document``, and returns the document.
+
+        Pages thus show the new entry and its selection at the same time.
+        """
         self._session.selected = number
         return document
 
 
 def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
-    """Returns scene-file tables of new lights by type, at `_NEW_LIGHT_POSITION` in the view of a page.
+    """Returns a scene-file table for a new light of each type, placed in the view of a page.
 
-    All types produce the same irradiance at the orbit centre.
+    All types are at `_NEW_LIGHT_POSITION` and produce `_NEW_LIGHT_IRRADIANCE` at the page's orbit centre.
 
     Args:
         pose: Camera of the page.
@@ -180,7 +205,7 @@ def _listed(vector: Any) -> list[float]:
 
 
 def with_environment_image(document: ls.io.SceneDocument, path: str) -> tuple[ls.io.SceneDocument, int]:
-    """Returns the document with an image as its environment, and the environment's entry id.
+    """Returns the document with an image file as its environment, added if there is none, and the entry's id.
 
     Raises:
         FormatError: The image cannot be read.
@@ -194,7 +219,7 @@ def with_environment_image(document: ls.io.SceneDocument, path: str) -> tuple[ls
 
 
 def upright_rotation(up: tuple[float, float, float]) -> list[float]:
-    """Returns the quaternion that rotates an environment image so that its upper edge faces up."""
+    """Returns the quaternion (w, x, y, z) that rotates an environment image so that its upper edge faces up."""
     from viser import transforms
 
     standing = ls.MeshInstance(ls.box(1.0), up=up).transform[:3, :3]
@@ -202,7 +227,7 @@ def upright_rotation(up: tuple[float, float, float]) -> list[float]:
 
 
 def free_name(folder: Path, name: str) -> Path:
-    """Returns a path in a folder that does not exist yet, with a safe version of the given file name."""
+    """Returns an unused path in a folder, from a file name whose unsafe characters are replaced; numbered if needed."""
     plain = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "upload"
     stem, dot, rest = plain[-_NAME_MAX:].partition(".")
     path = folder / f"{stem}{dot}{rest}"
@@ -214,5 +239,5 @@ def free_name(folder: Path, name: str) -> Path:
 
 
 def _kind_of(path: Path) -> Any:
-    """Returns the kind of scene entry that a file becomes."""
+    """Returns the scene-file table for a file, by its extension, such as ``meshes`` or ``environment``."""
     return "environment" if path.suffix.lower() in _ENVIRONMENT_IMAGES else ls.io.SceneDocument.kind_of(path)

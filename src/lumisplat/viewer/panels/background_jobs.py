@@ -1,4 +1,4 @@
-"""Runs long jobs for pages, one at a time: still images, videos, and captures exported as HTML."""
+"""Long jobs that pages start, one at a time: still images, videos, and captures exported as HTML."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ if TYPE_CHECKING:
 
 
 Still = Generator[float, None, ls.Frame]
-"""Generator that yields the completed fraction after each sample and returns the frame."""
+"""Generator that renders a still image: yields the completed fraction after each sample, and returns the frame."""
 
 
 @dataclass(frozen=True)
 class StillRenderer:
-    """Renders still images of full quality, in the render thread."""
+    """Renders still images at full detail, sample by sample, in the render thread."""
 
     scenes: SceneBuilder
     device: str
     """Device, as in `lumisplat.create_renderer`."""
     stop: Callable[[], bool]
-    """Returns True if a still image must yield to a moving view."""
+    """Function that returns True when a still image must pause, because a view moves or the viewer closes."""
 
     def renderer(self, config: ls.RenderConfig) -> ls.Renderer:
-        """Creates a renderer for settings of `still_config`.
+        """Creates a renderer for the settings that `still_config` returns.
 
         Raises:
             DeviceError: The device does not exist or is out of memory.
@@ -56,7 +56,9 @@ class StillRenderer:
         return self.scenes.of(document, config, time, 0, waits=True)
 
     def still(self, renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera, samples: int) -> Still:
-        """Renders a still image, sample by sample; an interrupted sample is rendered again.
+        """Returns a generator that renders a still image, one sample per step.
+
+        A sample that a moving view interrupts is rendered again from its start.
 
         Args:
             renderer: Renderer with settings of `still_config`.
@@ -96,9 +98,9 @@ def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.Re
 
 
 def captures_html(scene: ls.Scene) -> str:
-    """Returns an HTML page that shows the captures of a scene, unlit and with one colour per Gaussian.
+    """Returns an HTML page that shows the captures of a scene, as captured, with one colour per Gaussian.
 
-    viser does not support SH, so each Gaussian has its mean colour.
+    viser does not support SH, so each Gaussian has the colour of its degree-0 coefficient.
 
     Args:
         scene: Scene with at least one capture; other objects are left out.
@@ -132,11 +134,16 @@ def captures_html(scene: ls.Scene) -> str:
 
 
 _SH_C0 = 0.28209479177387814
-"""Value of the degree-0 SH basis function."""
+"""Value of the SH basis function of degree 0, ``1 / (2 sqrt(pi))``."""
 
 
 def _world_gaussians(instance: ls.SplatInstance, units: float) -> tuple[npt.NDArray[np.float32], ...]:
-    """Returns means, shape (N, 3), and covariances, shape (N, 3, 3), of an instance's N Gaussians, in page units."""
+    """Returns the N Gaussians of an instance in page units: means, shape (N, 3), and covariances, shape (N, 3, 3).
+
+    Args:
+        instance: Capture in the scene.
+        units: Page units per scene unit.
+    """
     from viser import transforms
 
     matrix = units * instance.transform[:3, :4]
@@ -148,15 +155,15 @@ def _world_gaussians(instance: ls.SplatInstance, units: float) -> tuple[npt.NDAr
 
 
 Steps = Generator[float, None, None]
-"""Generator of a job's steps; each step yields the completed fraction, 0 to 1."""
+"""Generator that runs a job step by step, and yields the completed fraction, 0 to 1, after each step."""
 
 
 class BackgroundJobs:
-    """Progress bar and cancel button of the running job, hidden without a job, in the current GUI folder.
+    """Runs one background job at a time; shows its progress bar and a cancel button in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
-        do: Runs the steps of a job, in a thread of its own.
+        do: Queues a generator whose steps the render thread runs, `RenderLoop.run_in_background`.
     """
 
     def __init__(self, gui: viser.GuiApi, do: Callable[[Generator[None]], None]) -> None:
@@ -207,7 +214,7 @@ class BackgroundJobs:
 
 @dataclass(frozen=True)
 class JobContext:
-    """Objects that background jobs need: session, pages, job runner and renderer."""
+    """What background jobs need: the session, the open pages, the job runner and the still renderer."""
 
     session: Session
     pages: Mapping[int, Page]
@@ -215,17 +222,17 @@ class JobContext:
     jobs: BackgroundJobs
     still_renderer: StillRenderer
     thumbnail: Callable[[ls.Camera, Callable[[Picture], object]], None]
-    """Renders a small image of the scene when no view moves, and passes it to a function."""
+    """Function that renders a small image from a camera once no view moves, and passes the image to a function."""
 
 
 def pose_of_page(pages: Mapping[int, Page], event: Any) -> Pose | None:
-    """Returns the camera of the page that sent an event; None if the page has closed or not reported its camera yet."""
+    """Returns the camera of the page that sent an event; None if the page has closed or has reported no camera yet."""
     page = pages.get(event.client_id)
     return None if page is None else page.pose
 
 
 def file_bytes(name: str, write: Callable[[Path], None]) -> bytes:
-    """Returns the content of a file that a function writes.
+    """Calls a function that writes a temporary file, and returns the content of that file.
 
     Args:
         name: File name; its extension selects the format.

@@ -51,12 +51,15 @@ def add_buttons(gui: viser.GuiApi, names: Sequence[str], act: Callable[[str], ob
 
 
 class Channel:
-    """Receives clicks in an HTML list; the page's script types the clicked command into a hidden text control.
+    """Receives clicks on elements of an HTML list: the page's script writes them into a hidden text control.
+
+    A click is a text such as ``hide 12``: a command, and a number such as an entry id.
 
     Args:
         gui: Controls of the pages.
-        actions: Handlers by command, the first word of a click; each receives the number, the second word.
-        moves: Handlers of commands for the clicked page; each receives the number and the page's connection.
+        actions: Function for each command, called with the number.
+        moves: Function for each command that concerns the clicked page only, called with the number and the page's
+            connection.
     """
 
     def __init__(
@@ -72,7 +75,7 @@ class Channel:
 
     @property
     def id(self) -> str:
-        """Id of the hidden text control, for the ``data-to`` attribute of the list."""
+        """Id of the hidden text control, which the ``data-to`` attribute of the HTML list names."""
         handle: Any = self._handle
         return handle._impl.uuid
 
@@ -87,20 +90,20 @@ class Channel:
 
 
 def _click_of(event: Any) -> tuple[str, viser.ClientHandle] | None:
-    """Returns the clicked command and the page's connection; None if the program set the value."""
+    """Returns the text of a click and the connection of the clicked page; None if no page sent the event."""
     return None if event.client is None else (str(event.target.value), event.client)
 
 
 def icon(name: str) -> str:
-    """Returns an icon as SVG."""
+    """Returns the SVG code of the icon with the given name, such as ``lights`` or ``cross``."""
     return _ICON.format(_SHAPES[name])
 
 
 def button(command: str, icon_name: str, title: str, *, is_on: bool = False) -> str:
-    """Returns a button of a list row as HTML.
+    """Returns the HTML code of a small icon button in a list row.
 
     Args:
-        command: Command that a click sends to the list's channel.
+        command: Text that a click sends to the `Channel` of the list, such as ``hide 12``.
         icon_name: Name of the icon.
         title: Tooltip.
         is_on: True highlights the button.
@@ -111,5 +114,5 @@ def button(command: str, icon_name: str, title: str, *, is_on: bool = False) -> 
 
 
 def plain(text: str) -> str:
-    """Returns a text with all characters replaced that have a meaning in Markdown, HTML or tables."""
+    """Replaces by spaces the characters of a text that have a meaning in Markdown, HTML or tables."""
     return re.sub(r"[|<>`*_\[\]{}\\&#~!]", " ", text)

@@ -1,4 +1,4 @@
-"""Creates a control for each setting of a dataclass, and converts between settings and displayed values."""
+"""GUI controls for the fields of a settings dataclass; converts values of settings to displayed values and back."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Color = tuple[float, float, float]
 
 KELVIN_RANGE = (1500.0, 12000.0)
-"""Range of colour temperatures, from candlelight to a blue sky, kelvins."""
+"""Range of the colour temperature slider, kelvins: from candlelight to a blue sky."""
 
 # Krystek 1985, "An algorithm to calculate correlated colour temperature", CIE 1960 (u, v), 1000 to 15000 K.
 _U = ((0.860117757, 1.54118254e-4, 1.28641212e-7), (1.0, 8.42420235e-4, 7.08145163e-7))
@@ -75,38 +75,38 @@ def _decoded(encoded: float) -> float:
 
 
 AUTO = "auto"
-"""Text in a control that stands for the value None."""
+"""Text that a control displays for the value None, which lets the library choose."""
 
 _DIGITS = 7
 """Largest number of decimals that users can type."""
 _NUMBER_CHARACTERS, _VECTOR_CHARACTERS = 11, 8
-"""Number of characters that fit into the control of a number, and into that of a vector component."""
+"""Number of characters that fit into a number box, and into the box of one component of a vector."""
 _SLIDER_SPAN = 1e4
-"""Largest upper end of a range that gets a slider; larger ranges get a number box."""
+"""A setting whose range ends above this value gets a number box instead of a slider."""
 
 
 _UNIT_CHARACTERS = 7
-"""Longest unit that a label includes; longer units appear only in the hint."""
+"""Number of characters of the longest unit that a label includes; longer units appear only in the tooltip."""
 
 
 def control_settings(cls: type) -> list[Setting]:
-    """Returns the fields of a dataclass that a control can show, in order."""
+    """Returns a description of each field of a settings dataclass for which a control exists, in order."""
     return [one for one in settings_of(cls) if one.kind not in ("span", "names", "other")]
 
 
 def label_of(field: Setting) -> str:
-    """Returns the label of a setting, with its unit if the unit is short."""
+    """Returns the text beside a setting's control: its name in words, and its unit if that is short."""
     words, unit = label(field.name), field.range.unit
     return f"{words} ({unit})" if unit and len(unit) <= _UNIT_CHARACTERS and "(" not in words else words
 
 
 def hint_of(field: Setting) -> str | None:
-    """Returns the description and range of a setting as a tooltip; None if there is neither."""
+    """Returns the tooltip of a setting: its description and range; None if it has neither."""
     return f"{field.help} {field.limits}".strip() or None
 
 
 class Control:
-    """Control of one setting, in the current GUI folder.
+    """GUI element that shows and changes one setting, in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -144,11 +144,11 @@ class Control:
 
     @property
     def handles(self) -> list[Any]:
-        """GUI handles of the control."""
+        """Handles of viser for the control: the GUI element, and for an optional colour also its checkbox."""
         return [self.handle] if self._none is None else [self.handle, self._none]
 
     def show(self, value: Any) -> None:
-        """Shows a value."""
+        """Displays a value of the setting, without applying it."""
         self._shown = value
         if self._none is not None:
             self._none.value = value is None
@@ -156,7 +156,7 @@ class Control:
             self.handle.value = to_control_value(self.field, value)
 
     def set_unused(self, reason: str | None) -> None:
-        """Disables the control and adds the reason to its tooltip; None enables the control."""
+        """Disables a control whose setting has no effect, and adds the reason to its tooltip; None enables it again."""
         for handle in self.handles:
             set_unused(handle, hint_of(self.field), reason)
 
@@ -174,7 +174,9 @@ class Control:
 
 
 def keep_unchanged_numbers(given: Any, before: Any, width: int = _NUMBER_CHARACTERS) -> Any:
-    """Returns a displayed value in which every number that the user did not change has its full precision again.
+    """Restores the full precision of numbers in a displayed value that the user did not edit.
+
+    A control displays rounded numbers; a number that still equals its rounded original is replaced by the original.
 
     Args:
         given: Displayed value, after the user's change.
@@ -202,13 +204,13 @@ def set_unused(handle: Any, hint: str | None, reason: str | None) -> None:
 
 
 def set_if_changed(handle: Any, name: str, value: object) -> None:
-    """Sets a property of a control if it differs, because each assignment sends a message to all pages."""
+    """Assigns a property of a GUI element unless it has that value: each assignment sends a message to all pages."""
     if getattr(handle, name) != value:
         setattr(handle, name, value)
 
 
 def to_control_value(field: Setting, value: Any) -> Any:
-    """Converts a setting's value to the value that its control displays."""
+    """Converts the value of a setting to the value that its control displays, such as a rounded number or a text."""
     if _is_shown_as_text(field):
         return AUTO if value is None else _text(field, value)
     match field.kind:
@@ -240,7 +242,7 @@ def rounded_for_display(value: float, width: int = _NUMBER_CHARACTERS) -> float:
 
 
 def from_control_value(field: Setting, shown: Any) -> Any:
-    """Converts the value of a control to the setting's value.
+    """Converts the value that a control displays to the value of the setting.
 
     Raises:
         ConfigError: The typed text is not a number.
@@ -259,25 +261,25 @@ def from_control_value(field: Setting, shown: Any) -> Any:
 
 
 def _is_shown_as_text(field: Setting) -> bool:
-    """True if a setting is shown as text or in a dropdown, because it can be automatic or infinite."""
+    """True if a setting needs a text box or dropdown, because it can be None (``auto``) or infinite."""
     return (field.is_optional and field.kind != "color") or (field.kind == "number" and field.default == math.inf)
 
 
 def _is_text_box(field: Setting, value: Any) -> bool:
-    """True if the control is a text box, which sends an event at each key press."""
+    """True if a setting's control is a text box, which sends an event at each key press."""
     if _is_shown_as_text(field):
         return not field.is_optional or field.kind not in ("flag", "choice")
     return field.kind in ("text", "vector") or (field.kind in ("whole", "number") and not _is_slider(field, value))
 
 
 def _is_slider(field: Setting, shown: Any) -> bool:
-    """True if the range of a number is known and short enough for a slider."""
+    """True if a number gets a slider: its range is known, finite and no wider than `_SLIDER_SPAN`."""
     low, high = field.low, field.high
     return low is not None and high is not None and low <= shown <= high <= _SLIDER_SPAN
 
 
 def _color_bytes(field: Setting, color: tuple[float, float, float] | None) -> tuple[int, ...]:
-    """Converts a colour to sRGB bytes; None becomes black."""
+    """Converts a linear colour to sRGB bytes for a colour picker; None becomes black."""
     if color is None:
         return 0, 0, 0
     return color_bytes_from_linear(color) if field.is_linear else tuple(round(255.0 * channel) for channel in color)
@@ -299,7 +301,7 @@ def _text(field: Setting, value: Any) -> str:
 
 
 def _parsed(field: Setting, text: str) -> Any:
-    """Parses the text of a setting that can be automatic or infinite."""
+    """Converts a typed text to the value of a setting that can be None (``auto``) or infinite."""
     word = text.strip().lower()
     if word in ("", AUTO) and field.is_optional:
         return None
@@ -318,7 +320,7 @@ def _parsed(field: Setting, text: str) -> Any:
 
 
 def _handle(gui: viser.GuiApi, field: Setting, value: Any) -> Any:  # noqa: PLR0911
-    """Creates the GUI element of a setting."""
+    """Creates the GUI element of a setting, such as a checkbox or slider, and returns its viser handle."""
     label, shown, hint = label_of(field), to_control_value(field, value), hint_of(field)
     if field.is_optional and field.kind in ("flag", "choice"):
         words = ("on", "off") if field.kind == "flag" else tuple(choice.value for choice in field.choices)
@@ -343,7 +345,7 @@ def _handle(gui: viser.GuiApi, field: Setting, value: Any) -> Any:  # noqa: PLR0
 
 
 def _number_handle(gui: viser.GuiApi, field: Setting, shown: Any, hint: str | None) -> Any:
-    """Creates a slider if the range is known and short, else a number box."""
+    """Creates a slider for a number if `_is_slider` holds, else a number box; returns its viser handle."""
     whole, low, high = field.kind == "whole", field.low, field.high
     if low is not None and high is not None and _is_slider(field, shown):
         ends = (int(low), int(high)) if whole else (low, high)
@@ -357,7 +359,7 @@ def _number_handle(gui: viser.GuiApi, field: Setting, shown: Any, hint: str | No
 
 
 def _step(span: float) -> float:
-    """Returns about a thousandth of a range, rounded to a power of ten."""
+    """Returns a slider's step for a range of width ``span``: a power of ten between 1/3200 and 1/320 of it."""
     return 10.0 ** math.floor(math.log10(span) - 2.5)
 
 
@@ -365,11 +367,12 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 Put = Callable[[Callable[[Any], Any], "str | None"], None]
-"""Function that applies a change of settings, given the change and the field's name for merging undo steps."""
+"""Function that applies a change of settings. Its arguments are a function from old to new settings, and the field's
+name; changes with one name are undone together, changes with the name None separately."""
 
 
 class SettingsPanel(Generic[Settings]):
-    """Controls of a settings dataclass, in the current GUI folder.
+    """Controls for all fields of a settings dataclass, with a folder for each nested group, in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -395,7 +398,7 @@ class SettingsPanel(Generic[Settings]):
         self._controls: dict[str, Control] = {}
         self._groups: dict[str, SettingsPanel[Any]] = {}
         self._folders: dict[str, Any] = {}
-        """GUI folders of nested groups."""
+        """GUI folder of each nested group of settings, by field name."""
         for field in control_settings(type(settings)):
             if field.name in without or (only is not None and field.name not in only):
                 continue
@@ -409,14 +412,14 @@ class SettingsPanel(Generic[Settings]):
                 self._controls[field.name] = Control(gui, offered, value, self._field_changed(field), report)
 
     def show(self, settings: Settings) -> None:
-        """Shows the values of settings."""
+        """Displays the values of given settings, without applying them."""
         for name, control in self._controls.items():
             control.show(getattr(settings, name))
         for name, group in self._groups.items():
             group.show(getattr(settings, name))
 
     def set_visible(self, visible: bool) -> None:
-        """Shows or hides the panel's own controls; nested groups are not affected."""
+        """Shows or hides the controls of ungrouped fields; folders of nested groups stay as they are."""
         for control in self._controls.values():
             for handle in control.handles:
                 set_if_changed(handle, "visible", visible)
@@ -453,7 +456,7 @@ class SettingsPanel(Generic[Settings]):
 
 
 def _is_allowed(settings: Any, field: Setting, choice: Enum) -> bool:
-    """True if the settings accept the given choice for a field."""
+    """True if a settings object accepts a choice for one of its fields, with all other fields unchanged."""
     try:
         replace(settings, **{field.name: choice})
     except ls.ConfigError:

@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,80}\.toml")
 _ROWS = 1080
-"""Height of the image that the command line renders, pixels."""
+"""Image height in the command line that `command_line` returns, pixels."""
 
 
 class FilesPanel:
-    """Controls that save the scene, in the current GUI folder.
+    """Controls that save the scene file and show the command that renders it, in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -56,7 +56,7 @@ class FilesPanel:
         gui.add_button("command line").on_click(press_callback(self._show_command))
 
     def suggest(self, document: ls.io.SceneDocument) -> None:
-        """Sets a default file name that differs from the opened file."""
+        """Fills in a file name to save a document under, other than the name of the file it was opened from."""
         stem = re.sub(r"[^A-Za-z0-9 ._-]", "_", document.file.stem).lstrip(" ._-") or "scene"
         self._name.value = f"{stem[:70]}-edited.toml"
 
@@ -103,12 +103,12 @@ class FilesPanel:
 
 
 def command_line(scene_file: Path, pose: Pose, session: Session) -> str:
-    """Returns the command that renders a page's view of a saved scene, at the current time if the scene has actors.
+    """Returns the ``lumisplat render`` command for a page's view of a saved scene.
 
     Args:
         scene_file: The saved scene file.
         pose: Camera of the page.
-        session: Session with the settings.
+        session: Session with the settings, and with the animation time if the scene has actors.
     """
     state, camera = session.state, pose.camera(_ROWS, session.state.exposure)
     has_actors = any(entry.actor is not None and not entry.hidden for entry in state.document.entries)
@@ -139,7 +139,7 @@ _LAYERS_HINT = (
 
 
 class ImagesPanel:
-    """Controls that render images, in the current GUI folder; the page that asks for an image downloads it.
+    """Controls that render still images and export captures; the page that asks for a file downloads it.
 
     Args:
         gui: Controls of the pages.
@@ -173,7 +173,7 @@ class ImagesPanel:
         return on_click
 
     def _picture(self, client: viser.ClientHandle, pose: Pose) -> None:
-        """Renders a page's view in the requested size."""
+        """Starts a background job that renders a page's view in the chosen size, and sends the file to the page."""
         state, suffix = self._session.state, str(self._format.value)
         height, still_renderer = int(np.clip(self._height.value, *HEIGHTS)), self._context.still_renderer
         if self._width.value:
@@ -195,7 +195,7 @@ class ImagesPanel:
         self._context.jobs.start(f"image of {camera.width} × {camera.height}", steps())
 
     def _export_captures(self, client: viser.ClientHandle, _: Pose) -> None:
-        """Exports the captures, unlit, as an HTML page."""
+        """Starts a background job that exports the captures, as captured, as an HTML page for download."""
         document = self._session.state.document
         scene = document.scene() if document.animation is None else document.animation.scene
         if not scene.splats:
@@ -209,12 +209,17 @@ class ImagesPanel:
 
 
 def listed(layers: str) -> tuple[str, ...]:
-    """Splits a list of names separated by commas."""
+    """Splits a text such as ``depth, normal`` into names."""
     return tuple(name.strip() for name in layers.split(",") if name.strip())
 
 
 def _as_file(frame: ls.Frame, suffix: str, layers: tuple[str, ...]) -> bytes:
-    """Returns a frame as file content; an EXR has the given layers in addition to those of every frame.
+    """Encodes a frame as the content of an image file.
+
+    Args:
+        frame: The frame.
+        suffix: Extension that selects the format.
+        layers: Layers to store in an EXR in addition to those of every frame.
 
     Raises:
         ConfigError: The frame does not have a layer.

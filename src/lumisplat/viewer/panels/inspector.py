@@ -1,4 +1,4 @@
-"""Edits the selected object: transform, material, light parameters, sun angles, and the crop box of a capture."""
+"""The inspector: controls for the selected entry's transform, material, light parameters, sun angles and crop box."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 _DEFAULT_K = 6500.0
-"""Temperature shown for a light whose colour was not set by temperature, kelvins."""
+"""Position of the temperature slider while a light's colour is not one that the slider has set, kelvins."""
 _SUN = (
     Setting(
         "azimuth_degrees",
@@ -45,33 +45,33 @@ _SUN = (
         range=Range(0.0, 24.0),
     ),
 )
-"""Fields of the inspector that replace the direction of a sun."""
+"""Fields shown for a directional light in place of its direction: azimuth, elevation and hour."""
 _CAPTURE_SHADING: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_catcher": None},
     "relit, PBR": {"material": {"type": "pbr"}, "shadow_catcher": None},
     "relit, simple": {"material": {"type": "simple"}, "shadow_catcher": None},
     "shadow catcher": {"material": None, "shadow_catcher": True},
 }
-"""Shading modes of a capture, each with the keys of the scene entry that select it."""
+"""Scene-file keys that give a capture each shading mode of the dropdown; None removes a key."""
 _MESH_SHADING: dict[str, dict[str, Any]] = {
     "as in the file": {"material": None},
     "PBR": {"material": {"type": "pbr"}},
     "simple": {"material": {"type": "simple"}},
 }
-"""Material types of a mesh, each with the keys of the scene entry that select it."""
+"""Scene-file keys that give a mesh each material type of the dropdown; None removes a key."""
 _CAPTURE_HINT = (
     "as captured: unlit, with the captured colours. relit: lights illuminate a material. shadow catcher: as captured, "
     "but other objects cast shadows on it."
 )
 _MESH_HINT = "The parameters of the material are in the folder below."
 _WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
-"""Material fields without a control: fields that only textures use, or that are shown elsewhere."""
+"""Material fields that get no control: they affect only textures, or have a control elsewhere."""
 
 
 def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> list[tuple[Setting, Any]]:
-    """Returns the fields of a light by scene-file key, with their values; angles are in degrees.
+    """Returns a description and the value of each field of a light, as the inspector shows them; angles in degrees.
 
-    A sun has azimuth, elevation and hour in place of its direction.
+    A directional light has azimuth, elevation and hour in place of its direction.
 
     Args:
         light: The light.
@@ -92,7 +92,7 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
 
 
 def shading_of(entry: ls.io.SceneEntry) -> str:
-    """Returns the shading mode of a capture or the material type of a mesh."""
+    """Returns the entry of the shading dropdown for a capture, such as ``relit, PBR``, or of the material dropdown."""
     if not entry.splats:
         given = entry.table.get("material")
         if given is None:
@@ -107,7 +107,7 @@ def shading_of(entry: ls.io.SceneEntry) -> str:
 
 
 class Inspector:
-    """Controls of the selected entry, rebuilt for each selection.
+    """Controls of the selected scene entry; they are rebuilt when another entry is selected.
 
     Args:
         gui: Controls of the pages.
@@ -118,22 +118,25 @@ class Inspector:
     def __init__(self, gui: viser.GuiApi, session: Session, folder: viser.GuiFolderHandle) -> None:
         self._gui, self._session, self._folder = gui, session, folder
         self._shown: tuple[Any, ...] | None = None
-        """Entry and field names for which the current controls were built, without material fields."""
+        """Id, kind and field names (without material fields) of the entry for which controls exist; None without one.
+        Other values make `show` rebuild the controls."""
         self._material_shown: tuple[Any, ...] = ()
-        """Fields for which the current material controls were built."""
+        """Material fields for which controls exist; other fields make `show` rebuild them."""
         self._controls: dict[str, Control] = {}
         self._parts: list[Any] = []
         self._material: Any = None
-        """GUI folder of the material. The folder stays while its entry is selected, so that it stays open or closed."""
+        """GUI folder of the material controls; None without them. It is kept while its entry is selected, so that it
+        stays open or closed."""
         self._material_parts: list[Any] = []
         self._crop: Crop | None = None
         self._followers: list[Callable[[ls.io.SceneEntry], None]] = []
-        """Functions that update derived controls, such as the colour temperature, from the entry."""
+        """Functions that update controls without a field of their own, such as the colour temperature, from the entry.
+        """
         folder.visible = False
         session.on_change(self.show)
 
     def show(self) -> None:
-        """Shows the selected entry."""
+        """Updates the controls to the selected entry, and rebuilds them if the selection or its fields have changed."""
         entry = self._session.selected_entry
         fields = [] if entry is None else self._fields(entry)
         of_material = [field for field in fields if _is_of_material(field[0])]
@@ -181,7 +184,7 @@ class Inspector:
                 self._parts.append(self._material)
 
     def _rebuild_material(self, entry: ls.io.SceneEntry, fields: list[tuple[Setting, Any]]) -> None:
-        """Rebuilds the controls for another material type, in the same folder."""
+        """Replaces the controls of the material fields, in the same GUI folder, after the material type has changed."""
         for part in reversed(self._material_parts):
             part.remove()
         self._controls = {name: each for name, each in self._controls.items() if not _is_of_material(each.field)}
@@ -193,7 +196,7 @@ class Inspector:
             self._material_parts = self._add_fields(entry, fields)
 
     def _add_fields(self, entry: ls.io.SceneEntry, fields: list[tuple[Setting, Any]]) -> list[Any]:
-        """Adds controls of fields and returns their GUI handles."""
+        """Creates a control for each field, given with its value, and returns the viser handles."""
         handles: list[Any] = []
         for field, value in fields:
             control = Control(self._gui, field, value, self._putter(entry, field), self._session.report)
@@ -202,7 +205,7 @@ class Inspector:
         return handles
 
     def _fields(self, entry: ls.io.SceneEntry) -> list[tuple[Setting, Any]]:
-        """Returns the fields of an entry, with their values."""
+        """Returns a description and the value of each field of an entry that the inspector shows."""
         if entry.kind in ("lights", "environment"):
             return light_fields(entry.lights[0], self._session.scene.up_direction)
         fields: list[tuple[Setting, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
@@ -270,7 +273,7 @@ class Inspector:
         hint = "Rotates the environment about the vertical."
         slider = self._gui.add_slider("rotation (°)", -180.0, 180.0, 1.0, 0.0, hint=hint)
         start = _environment_rotation(entry)
-        """Environment rotation at the centre of the slider."""
+        """Rotation of the environment, (w, x, y, z), to which the slider adds its angle."""
 
         def change(degrees: float) -> None:
             keys = {"rotation_wxyz": rotated_about(start, self._session.scene.up_direction, degrees)}
@@ -289,7 +292,13 @@ class Inspector:
 
 
 def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any) -> ls.io.SceneDocument:
-    """Returns the document with a new value of an entry's field, named as in the inspector.
+    """Returns the document with one field of an entry changed.
+
+    Args:
+        document: The scene document.
+        number: Entry id.
+        name: Field name as in the inspector, such as ``scale``, ``azimuth_degrees`` or ``material.roughness``.
+        value: New value.
 
     Raises:
         LumisplatError: The value is invalid.
@@ -320,9 +329,9 @@ def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any)
 
 
 def _cleared_aliases(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
-    """Returns the keys that must be cleared when a field is set, because they specify the same property.
+    """Returns changes that remove all keys for a light's aim before one is set, such as ``target`` for ``direction``.
 
-    An example is ``target`` when ``direction`` is set.
+    Fields that the removed keys also determined keep their present values.
     """
     light: Any = entry.lights[0] if entry.kind == "lights" else None
     if light is None or name not in light.aim_fields:
@@ -332,7 +341,7 @@ def _cleared_aliases(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
 
 
 def rotated_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
-    """Returns a quaternion rotated by an angle about a world-space axis."""
+    """Returns a quaternion (w, x, y, z) followed by a rotation about a world-space unit axis."""
     from viser import transforms
 
     rotation = transforms.SO3.exp(np.array(axis) * math.radians(degrees))
@@ -342,7 +351,7 @@ def rotated_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], deg
 
 
 def _transform_fields(matrix: Any) -> list[tuple[Setting, Any]]:
-    """Returns position, rotation about x, y and z, and scale of a similarity, as fields with values."""
+    """Returns position, rotation (degrees about x, then y, then z) and scale of a similarity, as described fields."""
     from viser import transforms
 
     scale = scale_of(matrix)
@@ -356,7 +365,7 @@ def _transform_fields(matrix: Any) -> list[tuple[Setting, Any]]:
 
 
 def _moved(matrix: Any, name: str, value: Any) -> Any:
-    """Returns a similarity with another position, rotation or scale.
+    """Returns a similarity with its position, rotation or scale, whichever ``name`` says, replaced by ``value``.
 
     Raises:
         ConfigError: The scale is not > 0.
@@ -382,12 +391,12 @@ def _environment_rotation(entry: ls.io.SceneEntry) -> tuple[float, ...]:
 
 
 def _rounded_color(kelvins: float) -> list[float]:
-    """Returns the colour of a black body, rounded to five digits for readable scene files."""
+    """Returns the linear colour of a black body of a temperature, rounded to five digits for readable scene files."""
     return [round(channel, 5) for channel in color_of_temperature(kelvins)]
 
 
 def _plain(value: Any) -> Any:
-    """Converts a value to its form in a scene-file table."""
+    """Converts a field's value, such as an enum or array, to a value that a scene file can hold."""
     if isinstance(value, tuple):
         return [float(x) for x in cast("tuple[float, ...]", value)]
     return value.value if hasattr(value, "value") else value
@@ -410,15 +419,16 @@ def _whole(name: str, low: int, high: int) -> Setting:
 
 
 _MARGIN = 0.25
-"""Margin of the crop sliders beyond the bulk of a capture, as a fraction of the bulk's size along the axis."""
+"""How far the crop sliders reach beyond the capture's bounding box (without stray Gaussians), as a fraction of its
+side."""
 _STEPS = 400
 
 Ends = npt.NDArray[np.float64]
-"""Lower and upper ends of a range along x, y and z, shape (2, 3)."""
+"""Row 0: lower ends of three ranges, along x, y and z; row 1: upper ends; shape (2, 3), file coordinates."""
 
 
 class Crop:
-    """Controls of a capture's crop box, in the current GUI folder.
+    """Three sliders for a capture's crop box, one for each axis of its file, in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -436,7 +446,7 @@ class Crop:
         self.show()
 
     def show(self) -> None:
-        """Shows the current crop box of the capture."""
+        """Moves the sliders to the capture's current crop box."""
         ends = crop_ends(self._session.state.document.entry(self._number), self._slider_range)
         for axis, slider in enumerate(self._sliders):
             slider.value = (float(ends[0, axis]), float(ends[1, axis]))
@@ -451,7 +461,12 @@ class Crop:
         return slider
 
     def _change(self, moved: tuple[Any, ...]) -> None:
-        """Crops to the ends of all sliders; the moved slider's ends come from its event."""
+        """Crops the capture after a slider has moved.
+
+        Args:
+            moved: Axis of the slider, 0 to 2, and its new lower and upper end; the other axes use their sliders'
+                values.
+        """
         ends = np.array([slider.value for slider in self._sliders], np.float64).T
         ends[:, moved[0]] = moved[1:3]
         number, reach, everything = self._number, self._slider_range, self._all_bounds
@@ -459,7 +474,10 @@ class Crop:
 
 
 def crop_ranges(document: ls.io.SceneDocument, number: int, session: Session) -> tuple[Ends, Ends]:
-    """Returns the bounds of all Gaussians of a capture's file, and the range of the crop sliders around its bulk."""
+    """Returns the bounds of all Gaussian means of a capture's file, and the wider range that the crop sliders cover.
+
+    The sliders cover the bounding box without stray Gaussians, plus `_MARGIN` at each end.
+    """
     entry = document.changed(number, crop_low=None, crop_high=None).entry(number)
     means = np.concatenate([np.asarray(instance.gaussians.means, np.float64) for instance in entry.splats])
     everything = np.array([means.min(axis=0), means.max(axis=0)])
@@ -471,7 +489,7 @@ def crop_ranges(document: ls.io.SceneDocument, number: int, session: Session) ->
 
 
 def crop_ends(entry: ls.io.SceneEntry, reach: Ends) -> Ends:
-    """Returns the slider ends for a capture's crop box."""
+    """Returns where the crop sliders stand for a capture: at its crop box, or at their limits ``reach`` without one."""
     low, high = entry.table.get("crop_low"), entry.table.get("crop_high")
     if low is None or high is None:
         return reach
@@ -479,7 +497,7 @@ def crop_ends(entry: ls.io.SceneEntry, reach: Ends) -> Ends:
 
 
 def crop_table(ends: Ends) -> str:
-    """Returns the slider ends as a Markdown table."""
+    """Returns a Markdown table of the lower and upper crop ends along x, y and z."""
     rows = [f"| {'xyz'[axis]} | {ends[0, axis]:.4g} | {ends[1, axis]:.4g} |" for axis in range(3)]
     return "\n".join(["| | from | to |", "| --- | ---: | ---: |", *rows])
 
@@ -487,14 +505,14 @@ def crop_table(ends: Ends) -> str:
 def cropped(
     document: ls.io.SceneDocument, number: int, ends: Ends, reach: Ends, everything: Ends
 ) -> ls.io.SceneDocument:
-    """Returns the document with a capture cropped to the slider ends.
+    """Returns the document with a capture cropped to the box that three sliders set.
 
     Args:
         document: The scene document.
         number: Entry id of the capture.
         ends: Slider ends.
-        reach: Range of the sliders; an end at its limit does not crop that side.
-        everything: Bounds of all Gaussians.
+        reach: Limits of the sliders; an end at its limit does not crop on that side.
+        everything: Bounds of all Gaussian means of the file, to which an end at its limit is extended.
 
     Raises:
         FormatError: No Gaussian would be left.
@@ -513,12 +531,13 @@ def cropped(
 Vector = npt.NDArray[np.float64]
 
 LATITUDE = math.radians(45.0)
-"""Latitude, radians north, of the sun path that the hour selects. The date is the equinox: sunrise at 6, sunset at 18.
+"""Latitude of the sun path that the field ``hour`` follows, radians north; at the equinox, the sun rises at 6 and sets
+at 18 hours.
 """
 
 
 def sun_angles(direction: npt.ArrayLike, up: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Returns azimuth and elevation of a sun in degrees, and the hour of the nearest position on the sun's daily path.
+    """Returns a sun's azimuth and elevation in degrees, and the hour of the nearest point of the daily sun path.
 
     Azimuth is counter-clockwise seen from above, 0 to 360. Azimuth 0 is the front of the scene, where the sun is at
     noon.
@@ -536,14 +555,14 @@ def sun_angles(direction: npt.ArrayLike, up: tuple[float, float, float]) -> tupl
 
 
 def direction_of_angles(azimuth: float, elevation: float, up: tuple[float, float, float]) -> Vector:
-    """Returns the unit direction in which a sun's light travels, given azimuth and elevation in degrees."""
+    """Returns the unit direction in which sunlight travels, for a sun at an azimuth and elevation in degrees."""
     south, east, vertical = _axes(up)
     a, e = math.radians(azimuth), math.radians(elevation)
     return -(math.cos(e) * (math.cos(a) * south + math.sin(a) * east) + math.sin(e) * vertical)
 
 
 def direction_of_hour(hour: float, up: tuple[float, float, float]) -> Vector:
-    """Returns the unit direction in which a sun's light travels at an hour of the day, 0 to 24."""
+    """Returns the unit direction in which sunlight travels at an hour of the sun path, 0 to 24, 12 is noon."""
     south, east, vertical = _axes(up)
     angle = math.radians(15.0 * (hour - 12.0))
     noon = math.cos(LATITUDE) * vertical + math.sin(LATITUDE) * south
@@ -552,7 +571,7 @@ def direction_of_hour(hour: float, up: tuple[float, float, float]) -> Vector:
 
 @cache
 def _axes(up: tuple[float, float, float]) -> tuple[Vector, Vector, Vector]:
-    """Returns unit vectors of a scene with an up direction: toward the front, to its right seen from there, and up."""
+    """Returns three unit vectors: toward the front of the scene, to the right as seen from the front, and up."""
     vertical = np.asarray(up, np.float64)
     camera = ls.frame_camera(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0))], up=up), azimuth=0.0, elevation=0.0)
     front = -np.asarray(camera.camera_from_world[2, :3], np.float64)

@@ -1,4 +1,4 @@
-"""The outliner: a list of all scene objects, to select, hide and lock them; and buttons that level the scene."""
+"""The outliner: a list of all scene entries, to select, hide and lock them; and buttons that set the up direction."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Outliner:
-    """List of the scene's entries with buttons that edit the selected one, in the current GUI folder.
+    """List of the scene entries, and buttons that edit the selected entry, in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -41,7 +41,7 @@ class Outliner:
     ) -> None:
         self._session = session
         self._listed: tuple[object, ...] | None = None
-        """Document, selection and locks that the list shows."""
+        """Document, selection and locks for which the HTML list was built; other values need a new list."""
         self._tree = gui.add_html("")
         self._channel = Channel(gui, {"select": session.select, "hide": self._hide, "lock": session.toggle_lock})
         add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
@@ -56,11 +56,11 @@ class Outliner:
         session.on_change(self._show)
 
     def list_files(self) -> None:
-        """Updates the list of files in the scene's folder."""
+        """Updates the dropdown of files that can be added, from the folder of the scene file."""
         self._adding.list_files()
 
     def act(self, action: str) -> None:
-        """Applies an action, named by its button, to the selected entry."""
+        """Applies the action of a pressed button, such as ``duplicate``, to the selected entry."""
         number = self._session.selected
         if number is None:
             self._session.report("nothing is selected: click an object in the image or in the list")
@@ -118,14 +118,14 @@ class Outliner:
 
 
 def with_entry_hidden(document: ls.io.SceneDocument, number: int, hides: bool) -> ls.io.SceneDocument:
-    """Returns the document with an entry hidden or shown; lights are switched off and on."""
+    """Returns the document with an entry hidden, or shown if ``hides`` is False; a hidden light is switched off."""
     if document.entry(number).kind in ("lights", "environment"):
         return document.changed(number, enabled=False if hides else None)
     return document.changed(number, hidden=True if hides else None)
 
 
 def with_entry_on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
-    """Returns the document with an entry moved down or up onto the lowest point of all other objects.
+    """Returns the document with an entry moved vertically until its lowest point is at that of the other objects.
 
     Raises:
         SceneError: The entry is a light, or the scene has no other object.
@@ -144,7 +144,7 @@ def with_entry_on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.Sc
 
 KIND_NAMES = {"splats": "capture", "meshes": "mesh", "actors": "actor", "environment": "environment"}
 _PARTS_MAX = 8
-"""Largest number of parts of a file that are listed by name."""
+"""Largest number of meshes of one file whose names the list shows; more are only counted."""
 
 
 def tree_html(
@@ -156,12 +156,12 @@ def tree_html(
     locked: frozenset[int] = frozenset(),
     channel: str = "",
 ) -> str:
-    """Returns the list of all entries, and of entries that could not be read, as HTML with escaped names.
+    """Returns the HTML list of all scene entries, and of entries that could not be read; names are escaped.
 
     Args:
         document: The scene document.
         boxes: Bounding boxes of the entries.
-        selected: Id of the highlighted entry.
+        selected: Id of the highlighted entry; None highlights none.
         time: Animation time, seconds.
         locked: Ids of locked entries.
         channel: Id of the text control that receives clicks: ``select``, ``hide`` or ``lock``, and the entry id.
@@ -178,14 +178,14 @@ def tree_html(
 
 
 def kind_name(entry: ls.io.SceneEntry) -> str:
-    """Returns the name of an entry's kind for users, such as ``capture`` or ``point light``."""
+    """Returns what a page calls an entry, such as ``capture`` or ``point light``."""
     if entry.kind != "lights":
         return KIND_NAMES[entry.kind]
     return "sun" if entry.table["type"] == "directional" else f"{entry.table['type']} light"
 
 
 def _entry_row(entry: ls.io.SceneEntry, *, is_selected: bool, is_locked: bool) -> str:
-    """Returns the HTML row of an entry."""
+    """Returns an entry's row of the HTML list: icon, name, and buttons to hide and lock it."""
     sun = entry.kind == "lights" and entry.table["type"] == "directional"
     states = " selected" * is_selected + " hidden" * entry.hidden
     eye, padlock = "hidden" if entry.hidden else "shown", "locked" if is_locked else "open"
@@ -204,7 +204,7 @@ def _detail(text: str) -> str:
 
 
 def _details(entry: ls.io.SceneEntry, boxes: BoxCache, time: float) -> list[str]:
-    """Returns the kind, the number of Gaussians or faces, and the size of an entry."""
+    """Returns texts about an entry: what it is, its number of Gaussians or faces, and its side lengths."""
     instances = entry.at(time)
     gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
     faces = sum(i.mesh.face_count for i in instances if isinstance(i, ls.MeshInstance))
@@ -218,7 +218,7 @@ def _details(entry: ls.io.SceneEntry, boxes: BoxCache, time: float) -> list[str]
 
 
 def _parts(document: ls.io.SceneDocument, entry: ls.io.SceneEntry) -> list[str]:
-    """Returns the names of the meshes in an entry's file, if there are several."""
+    """Returns the names of the meshes in an entry's file; an empty list if there is only one mesh."""
     names = document.part_names(entry.id) if len(entry.meshes) > 1 else []
     listed = [name or f"part {number}" for number, name in enumerate(names[:_PARTS_MAX])]
     return [*listed, f"{len(names) - _PARTS_MAX} more"] if len(names) > _PARTS_MAX else listed
@@ -232,13 +232,14 @@ _LEVEL_HINT = (
 _CLICK_HINT = "Click three points of the ground in the image, far apart: the plane through them becomes horizontal."
 _CLICK = "click 3 ground points"
 _ON_LINE = 0.02
-"""Smallest sine of a triangle angle for which three points define a plane; below it, noise determines the plane."""
+"""Three clicked points define a plane if the height of their triangle is more than this fraction of its longest side;
+for flatter triangles, noise would determine the plane."""
 _SAME = math.radians(0.05)
-"""Smallest angle between the old and the new up direction for which the scene is changed, radians."""
+"""Smallest change of the up direction that is applied, radians; for less, pages say that the scene is already level."""
 
 
 class LevelPanel:
-    """Buttons that set the up direction of the scene, in the current GUI folder.
+    """Buttons that set the scene's up direction, from the captures or from three clicks, in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -271,14 +272,14 @@ class LevelPanel:
             )
 
     def start(self) -> None:
-        """Makes the next three clicks ground points; cancels this mode if it is active."""
+        """Makes the next three clicks in the image define the ground plane; if this mode is active, ends it."""
         points = () if self._session.ground_points is None else None
         self._session.set_ground_points(points)
         if points is not None:
             self._notify("level", _CLICK_HINT)
 
     def take(self, frame: ls.Frame, across: float, down: float) -> bool:
-        """Uses a click as a ground point; the third point sets the up direction. Returns False if the mode is off.
+        """Adds a clicked point to the ground plane; the third sets the up direction. False if clicks select objects.
 
         Args:
             frame: Frame that the page shows.

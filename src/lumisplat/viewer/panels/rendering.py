@@ -1,4 +1,4 @@
-"""Render settings: the most used ones first, all others in a folder below."""
+"""Controls of the render settings: the most used ones first, all others in a folder below them."""
 
 from __future__ import annotations
 
@@ -77,6 +77,6 @@ class RenderingPanel:
 
 
 def _lighting(document: ls.io.SceneDocument) -> ls.config.AvatarLightingConfig:
-    """Returns the lighting settings of a document's actors."""
+    """Returns how the document's actors are lit; the default settings if the document does not say."""
     animation = document.animation
     return ls.config.AvatarLightingConfig() if animation is None else animation.lighting

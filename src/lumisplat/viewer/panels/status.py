@@ -1,4 +1,4 @@
-"""Shows progress, image quality, stage times, and temporary notifications."""
+"""Status of the viewer: progress of long steps, image quality, stage times, and notifications."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 _EVERY_S = 0.25
 _FRAMES = 100
-"""Number of frames in the plot."""
+"""Number of frames whose times the plot shows."""
 
 
 @dataclass
 class _Line:
-    """Status line of one page."""
+    """Status line of one page, shown on that page only."""
 
     handle: viser.GuiMarkdownHandle
     written: float = 0.0
@@ -37,7 +37,7 @@ class _Line:
 
 
 class StatusPanel:
-    """Status line and progress bar, and a folder with stage times and a plot.
+    """Status line and progress bar, and a folder with stage times and a plot of frame times.
 
     Args:
         gui: Controls of the pages.
@@ -45,13 +45,13 @@ class StatusPanel:
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._wait = gui.add_html(wait_html("starting", 0.0))
-        """Message over the image area of all pages until the first image is displayed."""
+        """HTML message over the image area of all pages; removed when the first image is displayed."""
         self._line = gui.add_markdown("starting")
         self._lines: dict[Page, _Line] = {}
-        """Status line of each page, which describes the page's own image."""
+        """Status line of each open page, about the image of that page."""
         self._bar = gui.add_progress_bar(0.0, animated=True)
         self._has_shown = False
-        """True once a page has displayed an image."""
+        """True once any page has displayed an image; the message `_wait` is then gone."""
         self._took = np.full(_FRAMES, np.nan)
 
     def add_details(self, gui: viser.GuiApi) -> None:
@@ -67,7 +67,7 @@ class StatusPanel:
         )
 
     def progress(self, label: str, fraction: float) -> None:
-        """Shows the progress of a task until its fraction reaches 1."""
+        """Shows the progress of a long step, such as loading, until its fraction is 1."""
         self._bar.visible = fraction < 1.0
         self._bar.value = 100.0 * fraction
         self._line.content, self._line.visible = plain(label), fraction < 1.0
@@ -75,12 +75,12 @@ class StatusPanel:
         self._wait.visible = fraction < 1.0 or not self._has_shown
 
     def levels(self, fraction: float) -> None:
-        """Shows the progress of building levels of detail."""
+        """Shows the progress of building the captures' levels of detail, 0 to 1."""
         self._line.content = f"preparing levels of detail: {fraction:.0%}"
         self._line.visible = fraction < 1.0
 
     def open(self, page: Page, gui: viser.GuiApi) -> None:
-        """Adds a status line for a page.
+        """Adds a status line to a page that has opened.
 
         Args:
             page: The page.
@@ -93,11 +93,11 @@ class StatusPanel:
         self._lines.pop(page, None)
 
     def frame(self, page: Page, step: DetailStep | None, took: float) -> None:
-        """Shows the quality and time of a frame, at most every `_EVERY_S` seconds.
+        """Updates a page's status line and the plot after a frame, at most every `_EVERY_S` seconds.
 
         Args:
             page: Page of the frame.
-            step: Detail step of the frame; None for a still view.
+            step: Detail step of the frame; None for a still view, which has full detail.
             took: Frame time, milliseconds.
         """
         self._took = np.roll(self._took, -1)
@@ -119,12 +119,19 @@ class StatusPanel:
 
 
 def wait_html(label: str, fraction: float) -> str:
-    """Returns the message over the image area as HTML, with a bar for the completed fraction, 0 to 1."""
+    """Returns the HTML message over the image area: a label, and a bar for the completed fraction, 0 to 1."""
     return f'<div class="lumi-wait">{html.escape(label)}<i><b style="width:{fraction:.0%}"></b></i></div>'
 
 
 def frame_line(page: Page, frame: ls.Frame, step: DetailStep | None, took: float) -> str:
-    """Returns the status line of a frame: size, samples or level of detail, and error or time."""
+    """Returns a page's status line: image size, samples, and the error of a still or the time of a moving view.
+
+    Args:
+        page: Page of the frame.
+        frame: The frame.
+        step: Detail step of the frame; None for a still view.
+        took: Frame time, milliseconds.
+    """
     parts = [f"{frame.camera.width} × {frame.camera.height}"]
     if step is not None and step.level:
         parts.append(f"{LEVEL_FRACTIONS[step.level]:.0%} of Gaussians")
@@ -137,25 +144,25 @@ def frame_line(page: Page, frame: ls.Frame, step: DetailStep | None, took: float
 
 
 def stage_table(stats: Any) -> str:
-    """Returns the ten longest stage times of a frame as a Markdown table."""
+    """Returns the ten longest render stages of a frame, with their times, as a Markdown table."""
     rows = sorted(stats.stage_ms.items(), key=lambda item: -item[1])[:10]
     lines = ["| stage | ms |", "| --- | ---: |", *(f"| {name} | {ms:.1f} |" for name, ms in rows)]
     return "\n".join([*lines, f"| visible Gaussians | {stats.visible_count:,} |"])
 
 
 QUIET_LOG = logging.getLogger("lumisplat.pages")
-"""Log for messages that appear in the terminal but not on pages."""
+"""Logger for messages that appear in the terminal but not as notifications on pages."""
 _LOG = logging.getLogger("lumisplat")
 
 _SHOWN_S = 8.0
 _AGAIN_S = 2.0
-"""Time after which a repeated message is shown again, seconds."""
+"""Time within which a repetition of the last message is not shown again, seconds."""
 _WAITING_MAX = 10
-"""Largest number of notifications kept for the first page; older ones are dropped."""
+"""Largest number of notifications kept while no page is open; the oldest are dropped."""
 
 
 class Notifications:
-    """Shows temporary notifications on all pages. Without an open page, notifications wait for the next one.
+    """Shows notifications on all pages for a few seconds; while no page is open, keeps them for the next one.
 
     Args:
         server: Server of the pages.
@@ -170,7 +177,7 @@ class Notifications:
         _LOG.addFilter(self._show_warning)
 
     def notify(self, title: str, body: str, *, is_problem: bool = False) -> None:
-        """Shows a notification on all pages."""
+        """Shows a notification on all pages, highlighted as an error if ``is_problem``."""
         now, before, self._last = time.monotonic(), self._last, (title, body)
         is_new, self._shown_at = before != self._last or now - self._shown_at > _AGAIN_S, now
         if not is_new:
@@ -186,17 +193,17 @@ class Notifications:
         self.notify("error", body, is_problem=True)
 
     def open(self, client: viser.ClientHandle) -> None:
-        """Shows waiting notifications on a new page."""
+        """Shows the notifications that were kept while no page was open on a new page."""
         while self._waiting:
             title, body, is_problem = self._waiting.popleft()
             _show(client, title, body, is_problem=is_problem)
 
     def close(self) -> None:
-        """Stops showing log warnings on pages."""
+        """Removes the log filter that shows warnings on pages."""
         _LOG.removeFilter(self._show_warning)
 
     def _show_warning(self, record: logging.LogRecord) -> bool:
-        """Log filter that also shows warnings on pages. Errors are reported where they occur."""
+        """Log filter: shows warnings on pages as well. Errors are reported to pages where they occur."""
         if record.levelno == logging.WARNING:
             self.notify("warning", page_words(record.getMessage()))
         return True

@@ -1,4 +1,4 @@
-"""Edits the camera path as key views, stored as keyframes in the scene file, and renders a video along it."""
+"""Controls of the camera path and its video; the path's key views are keyframes of a camera in the scene file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FORMATS = ("mp4", "gif", "webp")
 _THUMBNAIL = (128, 72)
 """Width and height of the thumbnails of key views, pixels."""
 _KEY_ROWS = 720
-"""Image height of the camera path's camera in the scene file, pixels."""
+"""Image height, pixels, that the scene file stores for the camera of a new camera path."""
 
 
 class VideoPanel:
@@ -51,7 +51,7 @@ class VideoPanel:
             gui, {"sooner": self._sooner, "later": self._later, "delete": self._delete}, {"look": self._look}
         )
         self._thumbnails: dict[str, str] = {}
-        """Thumbnails of key views as data URLs, by the content of the key view."""
+        """Thumbnail of each key view as a data URL, by a text with the key view's content."""
         hint = "Time from the last key view to the new one."
         self._seconds = gui.add_number("seconds to next", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
         hint = "Appends the view of this page to the camera path."
@@ -76,7 +76,7 @@ class VideoPanel:
         self._fps.value = float(document.top.get("animation", {}).get("fps", 25.0))
 
     def _list_keys(self) -> None:
-        """Lists the key views and requests missing thumbnails."""
+        """Updates the HTML list of key views, and requests thumbnails that do not exist yet."""
         document = self._session.state.document
         keys = keys_of(document)
         names = [repr(sorted((name, value) for name, value in key.items() if name != "time")) for key in keys]
@@ -116,7 +116,7 @@ class VideoPanel:
         self._session.apply(lambda document: without_key(document, number))
 
     def _look(self, number: int, client: viser.ClientHandle) -> None:
-        """Moves a page to a key view."""
+        """Moves the camera of one page to the key view with an index."""
         keys, session = keys_of(self._session.state.document), self._session
         if number < len(keys):
             up = session.scene.up_direction
@@ -162,11 +162,11 @@ class VideoPanel:
 
 
 def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel: str) -> str:
-    """Returns the key views as HTML: thumbnails with times and buttons.
+    """Returns the HTML list of key views: a thumbnail, the time, and buttons for each.
 
     Args:
         keys: Keyframes of the camera path.
-        images: Data URLs of the thumbnails; empty for a missing one.
+        images: Data URL of each thumbnail; an empty text for one that is not rendered yet.
         channel: Id of the text control that receives clicks: ``look``, ``sooner``, ``later`` or ``delete``, and the
             index of the key view.
     """
@@ -190,14 +190,17 @@ def keys_html(keys: Sequence[Mapping[str, Any]], images: Sequence[str], channel:
 
 
 def image_address(picture: Picture) -> str:
-    """Returns an image as a data URL with a JPEG in base64."""
+    """Returns an image as a JPEG in a data URL, which HTML can show without another request."""
     file = io.BytesIO()
     Image.fromarray(picture).save(file, "jpeg", quality=80)
     return "data:image/jpeg;base64," + base64.b64encode(file.getvalue()).decode()
 
 
 def video_cameras(animation: ls.Animation, view: ls.Camera) -> list[ls.Camera]:
-    """Returns the camera of each video frame, with the height of ``view``: along the camera path, else ``view``."""
+    """Returns a camera for each frame of a video: along the camera path, or ``view`` for all frames without one.
+
+    All cameras have the image height of ``view``.
+    """
     path, count = animation.camera_path, animation.frame_count
     if path is None:
         return [view] * count
@@ -205,7 +208,7 @@ def video_cameras(animation: ls.Animation, view: ls.Camera) -> list[ls.Camera]:
 
 
 def video_file(pictures: Iterable[npt.NDArray[np.float32]], fps: float, suffix: str) -> bytes:
-    """Returns a video of images with values 0 to 1, as file content.
+    """Encodes images with values 0 to 1 as a video, and returns the file content; ``suffix`` selects the format.
 
     Raises:
         LumisplatError: The video cannot be encoded.
@@ -214,7 +217,10 @@ def video_file(pictures: Iterable[npt.NDArray[np.float32]], fps: float, suffix: 
 
 
 def _part(steps: Generator[float, None, ls.Frame], number: int, count: int) -> Generator[float, None, ls.Frame]:
-    """Reports the progress of one frame of a video as progress of the whole video; returns the frame."""
+    """Runs the steps of frame ``number`` of a video with ``count`` frames; yields the progress of the whole video.
+
+    Returns the frame.
+    """
     while True:
         try:
             share = next(steps)
@@ -229,14 +235,14 @@ _NAME = "flight"
 
 @dataclass(frozen=True)
 class Key:
-    """Key view of the camera path."""
+    """Key view of the camera path: a camera, and the point that it looks at."""
 
     camera: ls.Camera
     target: tuple[float, float, float]
     """World position at the centre of the image."""
 
     def table(self, time: float) -> dict[str, Any]:
-        """Returns the key view as a keyframe of a scene file."""
+        """Returns the key view as a keyframe table of a scene file, at a time in seconds."""
         _, down, _ = self.camera.camera_from_world[:3, :3]
         table: dict[str, Any] = {
             "time": time,
@@ -249,13 +255,13 @@ class Key:
 
 
 def keys_of(document: ls.io.SceneDocument) -> list[Mapping[str, Any]]:
-    """Returns the keyframes of the camera path in order; empty without a camera path."""
+    """Returns the keyframe tables of the document's camera path, in order; empty without a camera path."""
     flights: list[list[Mapping[str, Any]]] = [t["keyframes"] for t in _cameras(document) if "keyframes" in t]
     return flights[0] if flights else []
 
 
 def with_key(document: ls.io.SceneDocument, key: Key, seconds: float) -> ls.io.SceneDocument:
-    """Returns the document with a key view appended to the camera path; a shorter animation is extended to its end.
+    """Returns the document with a key view appended to its camera path; the animation lasts at least as long.
 
     Args:
         document: The scene document.
@@ -275,7 +281,7 @@ def with_key(document: ls.io.SceneDocument, key: Key, seconds: float) -> ls.io.S
 
 
 def without_key(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
-    """Returns the document without a key view, given its index; later key views move forward in time to close the gap.
+    """Returns the document without the key view of an index; the times of later ones shrink to close the gap.
 
     Raises:
         SceneError: The key view does not exist.
@@ -289,7 +295,9 @@ def without_key(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocume
 
 
 def with_key_moved(document: ls.io.SceneDocument, number: int, by: int) -> ls.io.SceneDocument:
-    """Returns the document with a key view swapped with its neighbour; the times stay in place.
+    """Returns the document with a key view and its neighbour on the camera path exchanged; the times stay.
+
+    Without a neighbour on that side, returns the document unchanged.
 
     Args:
         document: The scene document.
@@ -312,7 +320,13 @@ def with_key_moved(document: ls.io.SceneDocument, number: int, by: int) -> ls.io
 
 
 def camera_of(key: Mapping[str, Any], up: tuple[float, float, float], size: tuple[int, int]) -> ls.Camera:
-    """Returns the camera of a keyframe for an image size, width and height in pixels."""
+    """Returns the camera of a keyframe table.
+
+    Args:
+        key: The keyframe.
+        up: Up direction if the keyframe has none.
+        size: Image width and height, pixels.
+    """
     fov = math.radians(float(key.get("fov_y_degrees", 45.0)))
     eye, target = key.get("eye", (0.0, 0.0, 0.0)), key.get("target", (0.0, 0.0, 1.0))
     width, height = size
@@ -334,7 +348,10 @@ def without_camera_path(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
 def _with_keys(
     document: ls.io.SceneDocument, keys: list[Mapping[str, Any]], camera: ls.Camera | None
 ) -> ls.io.SceneDocument:
-    """Returns the document with other keyframes of its camera path; a new path takes its image size from ``camera``."""
+    """Returns the document with ``keys`` as the keyframes of its camera path; without keys, the path is removed.
+
+    A document without a camera path gets one with the image size of ``camera``, unless that is None.
+    """
     tables: list[dict[str, Any]] = []
     is_found = False
     for table in _cameras(document):

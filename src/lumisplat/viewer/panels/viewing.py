@@ -1,4 +1,4 @@
-"""View options: displayed layer, resolution, overlays, viewpoints, and the animation time."""
+"""View options of pages: AOV view, resolution, overlays and viewpoints; and the animation time."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class ViewPanel:
         session.on_change(self._show)
 
     def _show(self) -> None:
-        """Updates the list of available views and the displayed one."""
+        """Updates the dropdown of views after the render settings have changed which views exist."""
         views = self._session.views
         if tuple(self._view.options) != views:
             self._view.options = views
@@ -96,7 +96,7 @@ _SELECTED = "selected"
 
 
 class Viewpoints:
-    """List of viewpoints with a button that moves the page there, in the current GUI folder.
+    """Dropdown of viewpoints, such as the scene file's cameras, and a button that moves the page to the chosen one.
 
     Args:
         gui: Controls of the pages.
@@ -113,13 +113,13 @@ class Viewpoints:
         session.on_change(self._show)
 
     def look_at_all(self, event: Any) -> None:
-        """Moves a page to frame the whole scene, without changing the view direction."""
+        """Moves the page that sent an event so that the whole scene fills its image; keeps the view direction."""
         if event.client is not None:
             extent = Extent.of(self._session.scene)  # includes objects added or moved since the scene was opened
             self._look_at(event.client, np.array(extent.center), 0.5 * extent.size)
 
     def look_at_selected(self, event: Any) -> None:
-        """Moves a page to frame the selected object, without changing the view direction."""
+        """Moves the page that sent an event so that the selected object fills its image; keeps the view direction."""
         with self._session.changed:
             ball = selected_sphere(self._session)
         if ball is None:
@@ -128,7 +128,7 @@ class Viewpoints:
             self._look_at(event.client, *ball)
 
     def _show(self) -> None:
-        """Updates the list of the scene file's cameras."""
+        """Updates the cameras of the scene file in the dropdown of viewpoints."""
         document = self._session.state.document
         if self._shown is not document.top.get("cameras"):
             self._shown = document.top.get("cameras")
@@ -146,7 +146,7 @@ class Viewpoints:
             move_page_to(event.client, camera, session.extent.page_from_scene, session.scene.up_direction)
 
     def _look_at(self, client: viser.ClientHandle, center: np.ndarray, radius: float) -> None:
-        """Moves a page along its view direction until a sphere fills the image."""
+        """Moves a page along its view direction until a sphere in world space fills the image."""
         scale, camera = self._session.extent.page_from_scene, client.camera
         backward = np.asarray(camera.position) - np.asarray(camera.look_at)
         backward = backward / max(float(np.linalg.norm(backward)), 1e-9)
@@ -158,7 +158,7 @@ class Viewpoints:
 
 
 def selected_sphere(session: Session) -> tuple[np.ndarray, float] | None:
-    """Returns the centre and radius of a sphere around the selected object; None if it has no position."""
+    """Returns centre and radius, scene units, of a sphere around the selected object; None if it has no position."""
     entry, time = session.selected_entry, session.options.time
     if entry is None:
         return None
@@ -173,7 +173,7 @@ def selected_sphere(session: Session) -> tuple[np.ndarray, float] | None:
 
 
 class Timeline:
-    """Controls of the animation time, hidden without an animation, in the current GUI folder.
+    """Time slider and play button of the animation, hidden without one, in the current GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -191,7 +191,7 @@ class Timeline:
         self._plays.on_update(lambda _: self._wake.set())
         self._animation: ls.Animation | None = None
         self._shown: tuple[object, ...] = ()
-        """Document parts from which the current animation was built."""
+        """Parts of the document that the current animation was built from; other objects need a new animation."""
         self._wake = threading.Event()
         self._is_open = True
         self._thread = threading.Thread(target=self._play, name="lumisplat play", daemon=True)
@@ -210,7 +210,7 @@ class Timeline:
         self._thread.join()
 
     def _show(self) -> None:
-        """Updates the time range when the animation changes."""
+        """Updates the range of the time slider after the document's animation has changed; hides it without one."""
         document = self._session.state.document
         shown = document.top, *(entry.actor for entry in document.entries if not entry.hidden)
         if len(shown) == len(self._shown) and all(a is b for a, b in zip(shown, self._shown, strict=True)):
@@ -229,7 +229,7 @@ class Timeline:
             self._fly(path.at(seconds))
 
     def _play(self) -> None:
-        """Advances the animation time in real time during playback, in a loop."""
+        """Loop of the playback thread: while playing, advances the animation time in real time, over and over."""
         while self._is_open:
             animation = self._animation
             if not self._plays.value or animation is None:

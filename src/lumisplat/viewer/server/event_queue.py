@@ -1,4 +1,4 @@
-"""Handles page events in the order in which they were sent; viser's own threads would reorder them."""
+"""Runs the callbacks of page events in the order in which events were sent; viser's thread pool would reorder them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ TYPING_PAUSE_S = 0.6
 
 @dataclass(eq=False)
 class _Queue:
-    """Event queue of one server."""
+    """Orders the events of one viser server, whose asyncio loop owns the queue."""
 
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
-    """Lock that runs events one at a time, in order of arrival."""
+    """Lock that a callback holds while it handles its event, so that events run one at a time in order of arrival."""
     arrivals: int = 0
-    """Number of events so far."""
+    """Number of events that have arrived; the newest event has this number."""
     arrived: asyncio.Event = field(default_factory=asyncio.Event)
-    """Event that is set at each arrival."""
+    """Flag that is set when an event arrives and wakes `_wait_for_next_event`."""
 
 
 _QUEUES: WeakKeyDictionary[asyncio.AbstractEventLoop, _Queue] = WeakKeyDictionary()
@@ -32,17 +32,17 @@ _QUEUES: WeakKeyDictionary[asyncio.AbstractEventLoop, _Queue] = WeakKeyDictionar
 def queued_callback(
     read: Callable[[Any], Read | None], act: Callable[[Read], object], *, is_typed: bool = False
 ) -> Callable[[Any], Awaitable[None]]:
-    """Returns a callback for viser that handles each event after all earlier events.
+    """Returns an event callback for viser; its events are handled one at a time, after all earlier events.
 
     Args:
-        read: Extracts the data from an event at once, because the next message changes the values of controls. A result
-            of None ignores the event.
-        act: Handles the data, in a thread.
-        is_typed: True for events sent at each key press. They are handled after a pause in typing, or when another
-            event arrives.
+        read: Extracts the data from an event when it arrives, because later messages change the values of controls. If
+            the result is None, the event is ignored.
+        act: Handles the data in a worker thread when the event's turn comes.
+        is_typed: True for a text control that sends an event at each key press: only the newest text is handled, after
+            a pause of `TYPING_PAUSE_S` or when another event arrives.
     """
     newest = 0
-    """Arrival number of this callback's newest event."""
+    """Arrival number of the last event of this callback; an older text event with ``is_typed`` is skipped."""
 
     async def callback(event: Any) -> None:
         nonlocal newest
@@ -64,7 +64,7 @@ def queued_callback(
 
 
 async def _wait_for_next_event(queue: _Queue, arrival: int) -> None:
-    """Waits for the next event, at most `TYPING_PAUSE_S` seconds."""
+    """Waits until an event has arrived after event number ``arrival``, at most `TYPING_PAUSE_S` seconds."""
     while queue.arrivals == arrival:
         queue.arrived.clear()
         try:
@@ -74,12 +74,12 @@ async def _wait_for_next_event(queue: _Queue, arrival: int) -> None:
 
 
 def value_callback(read: Callable[[Any], Read], act: Callable[[Read], object], *, is_typed: bool = False) -> Any:
-    """Returns a callback for a control that handles each value set by a user, in order.
+    """Returns a callback for a control: each value that a user sets is handled in order of arrival.
 
     Args:
         read: Converts the control's value to the argument of ``act``.
         act: Handles the converted value, in a thread.
-        is_typed: True for a control that sends each key press, as in `queued_callback`.
+        is_typed: True for a text control that sends an event at each key press, as in `queued_callback`.
     """
 
     def value_of(event: Any) -> Read | None:
@@ -89,7 +89,7 @@ def value_callback(read: Callable[[Any], Read], act: Callable[[Read], object], *
 
 
 def press_callback(act: Callable[[Any], object]) -> Any:
-    """Returns a callback for a button that runs after all earlier events.
+    """Returns a callback for a button; a press is handled after all events that arrived before it.
 
     Args:
         act: Handles the event, in a thread.

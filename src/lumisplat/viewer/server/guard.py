@@ -38,7 +38,7 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True)
 class Guard:
-    """Checks each HTTP request before the page server handles it.
+    """Access control of the page server: decides for each HTTP request whether it is answered.
 
     ``Host`` must name this machine, which prevents DNS rebinding. ``Origin``, if a browser sends it, must be the page's
     own. The token must be in the address or, later, in a cookie that scripts cannot read and other sites do not send.
@@ -58,11 +58,11 @@ class Guard:
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; it contains the port, because browsers share a host's cookies among all its ports."""
+        """Name of the access cookie; it contains the port, as browsers send a host's cookies to all of its ports."""
         return f"lumisplat-{self.port}"
 
     def refusal(self, path: str, headers: Mapping[str, str]) -> Refusal | None:
-        """Returns the answer to a request that is rejected; None if the request is allowed.
+        """Returns status and text with which to refuse an HTTP request; None if the request is allowed.
 
         Args:
             path: Path and query of the request.
@@ -79,11 +79,11 @@ class Guard:
         return None
 
     def token_of(self, path: str) -> str:
-        """Returns the token in the query of a path; empty if there is none."""
+        """Returns the access token in the query of a request's path, valid or not; empty if there is none."""
         return parse_qs(_split(path).query).get("token", [""])[0]
 
     def set_cookie(self) -> str:
-        """Returns the ``Set-Cookie`` value that lets a page return without the token."""
+        """Returns a ``Set-Cookie`` header value with the token, so that later requests need no token in the address."""
         return f"{self.cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
 
     def _cookie_of(self, headers: Mapping[str, str]) -> str:
@@ -91,12 +91,12 @@ class Guard:
         return next((value for name, _, value in pairs if name == self.cookie), "")
 
     def _is_token(self, given: str) -> bool:
-        """Compares a token in constant time."""
+        """True if a text is the access token; compares in constant time, so that timing reveals nothing."""
         return hmac.compare_digest(given.encode(errors="replace"), self.token.encode())
 
 
 def _split(address: str) -> SplitResult:
-    """Returns the parts of a URL; empty parts if the URL is invalid."""
+    """Splits a URL; the result has empty parts if the URL is invalid."""
     try:
         return urlsplit(address)
     except ValueError:
@@ -129,22 +129,23 @@ _VECTORS = {
     "ViewerCameraMessage": {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3},
     "TransformControlsUpdateMessage": {"wxyz": 4, "position": 3},
 }
-"""Fields that must be lists of finite numbers, with their lengths."""
+"""Message fields that must be lists of finite numbers, with the required length, by message type."""
 
 _NUMBERS = {"ViewerCameraMessage": ("fov", "near", "far", "image_height", "image_width")}
-"""Fields that must be finite numbers > 0."""
+"""Message fields that must be finite numbers > 0, by message type."""
 
 
 class Inbox:
-    """Validates the messages of one page."""
+    """Decides for each WebSocket message of one page whether it is valid; counts invalid ones."""
 
     def __init__(self) -> None:
         self._left: dict[str, int] = {}
-        """Bytes that each upload may still send, by upload id."""
+        """Bytes of each announced upload that have not arrived yet, by upload id; parts that exceed them are invalid.
+        """
         self.dropped = 0
 
     def accepts(self, raw: object) -> bool:
-        """Returns True if a message is valid; logs the first invalid one."""
+        """True if a message is valid, otherwise it must be dropped; the page's first invalid message is logged."""
         reason = self._fault(raw)
         if reason is None:
             return True
@@ -183,7 +184,7 @@ class Inbox:
         return _fault_of_fields(raw)
 
     def _upload_fault(self, kind: str, fields: Mapping[str, Any]) -> str | None:
-        """Returns the reason why a part of an upload is invalid; None if it is valid."""
+        """Returns why a message that announces or continues a file upload is invalid; None if it is valid."""
         transfer = fields.get("transfer_uuid")
         if not isinstance(transfer, str):
             return "an upload has no id"
@@ -207,7 +208,7 @@ class Inbox:
 
 
 def _fault_of_fields(raw: bytes) -> str | None:
-    """Returns the error with which viser would reject a message and close the connection; None if it is valid."""
+    """Decodes a message as viser does; returns the error, which would close the connection in viser, or None."""
     from viser import _messages
 
     try:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat.pages")
 
 _SERVE = threading.Lock()
-"""Lock held while viser's function that opens the port is replaced."""
+"""Lock held while ``websockets.serve`` is replaced by a version with access control, so that viser calls the latter."""
 
 
 def import_viser() -> Any:
@@ -79,7 +79,7 @@ class PageServer:
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
 
     def close(self) -> None:
-        """Closes the port and all connections; pending events of pages are dropped without a log line."""
+        """Closes the port and all connections; events of pages that wait in the queue are dropped silently."""
         loop = self.viser.get_event_loop()
         loop.set_exception_handler(_ignore)
         self._is_open = False
@@ -106,7 +106,15 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
 @contextlib.contextmanager
 def _guarded(listener: socket.socket, guard: Guard, is_accepting: Callable[[], bool]) -> Generator[list[bool]]:
-    """Makes viser listen on the given socket, with access control. The yielded list is empty until viser does so."""
+    """Context in which a viser server that starts listens on ``listener``, with access control and message checks.
+
+    The yielded list is empty at first; it has an element once viser has opened its server this way.
+
+    Args:
+        listener: Socket to listen on.
+        guard: Checks each HTTP request.
+        is_accepting: Returns False once the server closes; messages are then ignored.
+    """
     import websockets.asyncio.server as websockets_server
 
     real: Any = websockets_server.serve
@@ -164,7 +172,7 @@ def _refuse_to_share(verbose: bool = True) -> None:
 
 
 async def _cancel_pending_events() -> None:
-    """Cancels the tasks of page messages, including queued ones, while the event loop runs."""
+    """Cancels all asyncio tasks that handle or queue page messages. Runs in the server's event loop."""
     names = ("WebsockMessageHandler._handle_incoming_message", "queued_callback.<locals>.callback")
     asked = [task for task in asyncio.all_tasks() if getattr(task.get_coro(), "__qualname__", "") in names]
     for task in asked:
@@ -173,11 +181,11 @@ async def _cancel_pending_events() -> None:
 
 
 def _ignore(_: object, context: dict[str, Any]) -> None:
-    """Replaces `_report` while the server closes."""
+    """Event-loop exception handler that discards errors while the server closes."""
 
 
 def _report(_: object, context: dict[str, Any]) -> None:
-    """Logs a page message that viser cannot handle as one line, without a traceback."""
+    """Event-loop exception handler: logs a page message that viser cannot handle, in one line without traceback."""
     _log.warning("a page's message was dropped: %s", context.get("exception") or context.get("message"))
 
 
@@ -290,14 +298,14 @@ def with_additions(body: bytes, *, is_packed: bool) -> bytes:
 
 
 class AnyThreadEvent(asyncio.Event):
-    """An asyncio event that other threads may set, provided that the event loop sets it again afterwards.
+    """Version of ``asyncio.Event`` whose `set` is safe in any thread; only the event loop wakes the waiters.
 
-    viser sets its events twice for each message. ``asyncio.Event.set`` iterates over its waiters while the event loop
-    adds and removes some, and then raises "deque mutated during iteration".
+    viser sets its events twice for each message, the second time in the event loop. ``asyncio.Event.set`` in another
+    thread would iterate over the waiters while the loop changes them: "deque mutated during iteration".
     """
 
     def set(self) -> None:
-        """Sets the event; within the event loop, also wakes the waiters."""
+        """Marks the event as set; if called in the event loop, also wakes the waiters."""
         try:
             asyncio.get_running_loop()
         except RuntimeError:
