@@ -47,7 +47,7 @@ def test_render_denoise_reduces_the_noise_of_each_pipeline(work: Workspace, pipe
     )
 
 
-def test_orbit_denoise_denoises_every_frame(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_denoise_option_of_orbit_denoises_every_frame(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     """The stored settings of the frames include the option."""
     denoised: list[ls.Frame] = []
     monkeypatch.setattr(ls.Frame, "check_denoiser", lambda: None)

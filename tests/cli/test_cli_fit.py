@@ -237,7 +237,7 @@ def test_fit_command_reports_mistakes_of_the_user_in_one_line(work, arguments, m
     assert not work.path("a.toml").exists() and work.path("door.png").read_bytes() == before
 
 
-def test_fit_help_states_the_time_of_a_fit(work):
+def test_help_of_the_fit_command_states_how_long_a_fit_takes(work):
     """The help also states the time with ``--positions``."""
     text = " ".join(work.run("fit", "--help").out.replace("│", " ").split())
     assert "half a minute on a CPU core, and with --positions four" in text

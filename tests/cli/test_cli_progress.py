@@ -77,7 +77,7 @@ def test_render_prints_how_many_samples_a_limit_of_time_or_noise_allowed(work, c
     assert re.fullmatch(expected, line)
 
 
-def test_missed_noise_level_is_logged_once_per_renderer(caplog: pytest.LogCaptureFixture) -> None:
+def test_noise_target_that_frames_do_not_reach_is_logged_once_per_renderer(caplog: pytest.LogCaptureFixture) -> None:
     """Animations in Python thus log one line, too."""
     renderer = ls.create_renderer(ls.RenderConfig(noise=1e-4, samples=18, pipeline=ls.Pipeline.PATH), "cpu")
     camera = ls.Camera.look_at((0, 0, 4), (0, 0, 0), width=8, height=8)

@@ -62,7 +62,7 @@ def test_render_logs_no_black_sides_if_light_reaches_all_sides(scene: ls.Scene) 
     assert remarks(scene) == []
 
 
-def test_render_logs_that_lights_change_no_capture() -> None:
+def test_render_logs_that_lights_do_not_change_captures_without_a_material() -> None:
     """Without a material, a capture stays as captured; beside meshes, the line names ``--shadow-catcher`` too."""
     plain = replace(KEPT, shadow_catcher=False)
     (line,) = remarks(ls.Scene([plain], [], [SKY]))

@@ -64,7 +64,7 @@ def test_view_prints_its_address_and_serves_until_interrupted(capture: Path) -> 
         assert not rest and "Traceback" not in errors and process.returncode in (0, 130)
 
 
-def test_view_leaves_out_unreadable_files(capture: Path) -> None:
+def test_view_command_leaves_out_files_that_cannot_be_read(capture: Path) -> None:
     """The page is served with the other files, and standard error names the unreadable one."""
     with serving(str(capture), str(capture.with_name("gone.obj"))) as (process, address):
         assert status(address) == 200

@@ -57,7 +57,7 @@ def test_eye_and_target_options_of_render_give_the_camera_of_look_at(work) -> No
 
 
 @pytest.mark.parametrize("up", ["y-up", "z-up", "0.3,-1,0"])
-def test_up_option_rotates_the_image(work, up) -> None:
+def test_up_option_of_render_sets_which_direction_is_up_in_the_image(work, up) -> None:
     """``--up`` is an axis or any direction, as ``up`` of a scene."""
     direction = up if up[0] in "yz" else (0.3, -1, 0)
     scene = ls.Scene([work.capture("capture.ply")], up=direction)

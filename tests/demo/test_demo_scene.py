@@ -141,7 +141,7 @@ def test_relit_demo_scene_is_well_exposed_from_every_camera(lit: ls.Scene) -> No
         assert frame.stats is not None and frame.stats.nonfinite_count == 0
 
 
-def test_demo_scenes_are_y_up(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
+def test_demo_scenes_have_plus_y_as_their_up_direction(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
     """The capture states its up direction, also outside of the scene."""
     scene = demo_and_progress[0]
     for shown in (scene, ls.demo_scene_lit(), ls.Scene(splats=scene.splats)):

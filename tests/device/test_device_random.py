@@ -63,7 +63,9 @@ def pair_z(first: np.ndarray, second: np.ndarray) -> list[float]:
         (2**31 - 1, 2**24 - 1, 12345, 0x8B5F3FF8),
     ],
 )
-def test_random_sample_keys_match_stored_values(pixel: int, sample: int, seed: int, sample_key: int) -> None:
+def test_keys_of_random_samples_match_values_stored_in_the_test(
+    pixel: int, sample: int, seed: int, sample_key: int
+) -> None:
     """The stored keys were computed once with Python's integers; other keys would change every frame of a seed."""
     assert int(random.sample_key_of(pixel, sample, wp.uint32(seed))) == sample_key
 
@@ -78,7 +80,7 @@ def test_random_sample_keys_match_stored_values(pixel: int, sample: int, seed: i
         (0x89ED2DF0, LAST - 1, 1_094_224),
     ],
 )
-def test_random_draws_match_stored_values(sample_key: int, dimension: int, value: int) -> None:
+def test_random_numbers_match_values_stored_in_the_test(sample_key: int, dimension: int, value: int) -> None:
     """All draws are multiples of 2^-24."""
     assert random.draw(wp.uint32(sample_key), wp.uint32(dimension)) == value * 2.0**-24
 

@@ -80,7 +80,7 @@ def walter(alpha: float, eta: float, view: Doubles, light: Doubles) -> float:
 
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize("alpha", [0.1, 0.5])
-def test_rough_glass_values_match_walter_2007(alpha: float, eta: float) -> None:
+def test_bsdf_values_of_rough_glass_match_the_equations_of_walter_2007(alpha: float, eta: float) -> None:
     """Reflection and transmission match the paper's equations for light that arrives from outside and from inside."""
     view, (lights, _) = direction(0.7, 0.4), sphere(24, 24)
     lights = lights.reshape(-1, 3).astype(np.float32).astype(np.float64)
@@ -92,7 +92,7 @@ def test_rough_glass_values_match_walter_2007(alpha: float, eta: float) -> None:
 
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.parametrize("inside", [False, True])
-def test_rough_glass_values_match_mitsuba(number: int, inside: bool) -> None:
+def test_bsdf_values_of_rough_glass_match_mitsuba(number: int, inside: bool) -> None:
     """The tool make_mitsuba_glass_reference stored them; Mitsuba does not divide radiance by the squared index."""
     with np.load(REFERENCE / "mitsuba_rough_dielectric.npz") as stored:
         views, lights, expected = stored["views"], stored["lights"], stored["values"][number, int(inside)]
@@ -187,7 +187,7 @@ def test_chi_square_test_of_rough_glass_rejects_wrong_materials() -> None:
     assert chi_square(glass(0.25, 1.0 / 1.5), glass(0.25, 1.0 / 1.45), view) > LIMIT
 
 
-def test_rough_glass_values_are_finite_for_extreme_directions() -> None:
+def test_bsdf_values_of_rough_glass_are_finite_for_extreme_directions() -> None:
     """Values and weights stay finite for grazing directions and for indices of 0.05, 1 and 20."""
     ends = np.array([[1.0, 0.0, 1e-7], [-1.0, 0.0, 1e-7], [1.0, 0.0, -1e-7], [0, 0, 1], [0, 0, -1], [0.6, 0, -0.8]])
     for eta in (1.0, 0.9999, 1.0001, 0.05, 20.0):

@@ -100,7 +100,7 @@ def test_unscented_projection_matches_the_float64_oracle_for_every_lens(name: st
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_lens_projection_inverts_pixel_rays(name: str) -> None:
+def test_projection_by_each_lens_inverts_the_rays_of_its_pixels(name: str) -> None:
     """Points on a pixel's ray project back to the pixel's centre."""
     camera = LENSES[name]
     rays = camera.ray_directions()

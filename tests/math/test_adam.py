@@ -19,7 +19,7 @@ def steps_of_paper(gradients: np.ndarray, rate: float) -> np.ndarray:
     return np.stack(moves)
 
 
-def test_adam_steps_match_the_paper() -> None:
+def test_steps_of_the_adam_optimiser_match_the_equations_of_its_paper() -> None:
     """Every step agrees with the paper, for arrays of any shape."""
     gradients = RNG.normal(size=(12, 5, 3))
     adam = Adam.still((5, 3))

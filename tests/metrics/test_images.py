@@ -108,7 +108,7 @@ def test_ssim_matches_the_definition_of_the_paper():
         ((1.0, 0.0, 0.0), (0.2, 0.4, 0.6)),
     ],
 )
-def test_flip_of_flat_images_matches_the_paper(color, reference):
+def test_image_metric_flip_of_flat_images_matches_the_paper(color, reference):
     """The paper's formulas need no filtering here; green on blue gives 1, the largest possible distance."""
     expected = flip_of_flat_colors(color, reference)
     assert ls.metrics.flip(flat(color), flat(reference)) == pytest.approx(expected, abs=2e-4)
@@ -116,7 +116,7 @@ def test_flip_of_flat_images_matches_the_paper(color, reference):
         assert expected == 1.0
 
 
-def test_flip_is_smaller_on_a_display_with_more_pixels_per_degree():
+def test_image_metric_flip_is_smaller_on_a_display_with_more_pixels_per_degree():
     """Noise is less visible on a finer display."""
     image, reference = noise_image(1), noise_image(2)
     coarse, usual, fine = (ls.metrics.flip(image, reference, pixels_per_degree=density) for density in (10, 67, 300))
@@ -142,7 +142,7 @@ def test_image_metrics_are_equal_for_8_bit_images_and_their_float_values(metric)
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_image_metrics_do_not_change_if_both_images_are_flipped(metric):
+def test_image_metrics_do_not_change_if_both_images_are_mirrored(metric):
     """Both images are turned upside down, or mirrored."""
     image, reference = noise_image(7), noise_image(8)
     for mirror in (np.flipud, np.fliplr):
@@ -171,7 +171,7 @@ def test_images_smaller_than_the_ssim_window_are_refused():
         ls.metrics.ssim(np.zeros((10, 12, 3)), np.zeros((10, 12, 3)))
 
 
-def test_flip_refuses_0_pixels_per_degree():
+def test_image_metric_flip_refuses_0_pixels_per_degree():
     """The range is 1 to 1000."""
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is 0"):
         ls.metrics.flip(noise_image(1), noise_image(2), pixels_per_degree=0)

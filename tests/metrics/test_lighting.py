@@ -43,7 +43,7 @@ def lit_from(direction, share: float, normals: np.ndarray | None = None) -> np.n
     return 0.2 * (1.0 + share * normals @ np.asarray(direction, np.float64))
 
 
-def test_paa_y_matches_hand_computed_values():
+def test_light_metric_paa_y_matches_hand_computed_values():
     """E = 1 + a n_z has c = (1 / Y00, a / Y10), scaled so that the absolute values sum to 1.
 
     a = 0.5: 3.5449 and 0.5 / 0.48860 = 1.0233, so (0.776, 0.224). Constant light is (1, 0), and PAA-Y 0.224 + 0.224.
@@ -124,7 +124,7 @@ def test_coefficients_of_the_robust_irradiance_fit_are_proportional_to_the_value
     np.testing.assert_allclose(robust_fit(design, 1000.0 * values), 1000.0 * robust_fit(design, values), rtol=1e-6)
 
 
-def test_apf_y_matches_hand_computed_values():
+def test_light_metric_apf_y_matches_hand_computed_values():
     """Light with gain and offset is predicted.
 
     A constant predicts the mean, and leaves 0.2 x 0.5 x E|n_z| = 0.05. The mean of |n_z| over the sphere is 1/2. With
@@ -145,7 +145,7 @@ def test_luminance_and_lab_match_reference_values():
     np.testing.assert_allclose(lab([[0.18] * 3, [0.005] * 3]), [[49.496, 0, 0], [4.5165, 0, 0]], atol=1e-3)
 
 
-def test_ncm_ab_matches_hand_computed_values():
+def test_light_metric_ncm_ab_matches_hand_computed_values():
     """Grey against one colour is that colour's chroma; with half of the points in it, half of that.
 
     Linear (0.2, 0.1, 0.1): X/Xn = 0.1 + 0.1 x 0.4124 / 0.9505 = 0.14339, Y = 0.1 + 0.02126 = 0.12126,
@@ -160,7 +160,7 @@ def test_ncm_ab_matches_hand_computed_values():
     assert ls.metrics.ncm_ab(mixed, mixed) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_ncm_ab_is_the_mean_distance_of_the_cheapest_assignment():
+def test_light_metric_ncm_ab_is_the_mean_distance_of_the_cheapest_assignment():
     """Between equally many points, the distance is the mean over the best pairing."""
     rng = np.random.default_rng(5)
     normals = all_around(60)
@@ -170,7 +170,7 @@ def test_ncm_ab_is_the_mean_distance_of_the_cheapest_assignment():
     assert ls.metrics.ncm_ab(*sides) == pytest.approx(cost[linear_sum_assignment(cost)].mean(), rel=1e-9)
 
 
-def test_ncm_ab_of_a_random_subset_of_points_depends_on_the_seed_and_nothing_else():
+def test_light_metric_ncm_ab_of_a_random_subset_of_points_is_equal_for_equal_seeds():
     """Each seed gives one value, close to that of all points."""
     rng = np.random.default_rng(6)
     normals = all_around(1500)

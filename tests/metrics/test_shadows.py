@@ -35,7 +35,7 @@ def boundary_pixels(shadow: np.ndarray) -> list[tuple[int, int]]:
     return found
 
 
-def test_sae_matches_hand_computed_values():
+def test_shadow_metric_sae_matches_hand_computed_values():
     """Over the reference's 16 pixels, 8 are 0.2 off and 8 are missed by 0.6: (1.6 + 4.8) / 16 = 0.4.
 
     Shadow outside of the reference's does not count.
@@ -46,13 +46,13 @@ def test_sae_matches_hand_computed_values():
     assert ls.metrics.sae(shadow, reference) == pytest.approx(0.4)
 
 
-def test_sm_iou_matches_hand_computed_values():
+def test_shadow_metric_sm_iou_matches_hand_computed_values():
     """Two squares of 16 pixels, 2 pixels apart along x, share 8: 8 / (16 + 16 - 8) = 1/3."""
     assert ls.metrics.sm_iou(square(4, 4, 4), square(6, 4, 4)) == pytest.approx(1 / 3)
     assert ls.metrics.sm_iou(square(4, 4, 4), square(10, 4, 4)) == 0.0
 
 
-def test_boundary_f_matches_hand_computed_values():
+def test_shadow_metric_boundary_f_matches_hand_computed_values():
     """A square of 6 has a boundary of 20 pixels, one of 12 around it, 3 pixels apart each way, of 44.
 
     Within 3 pixels all 20 have a neighbour, of the 44 those straight beside the inner ones: 4 x 6 = 24, the corners
@@ -65,7 +65,7 @@ def test_boundary_f_matches_hand_computed_values():
     assert ls.metrics.boundary_f(inner, outer) == 0.0
 
 
-def test_boundary_f_is_1_for_shadow_boundaries_apart_by_at_most_the_tolerance():
+def test_shadow_metric_boundary_f_is_1_for_boundaries_apart_by_at_most_the_tolerance():
     """A shadow off by the tolerance has the full score, and a shadow off by one pixel more has a lower score."""
     assert ls.metrics.boundary_f(square(6, 4, 5), square(4, 4, 5)) == 1.0
     assert 0.0 < ls.metrics.boundary_f(square(7, 4, 5), square(4, 4, 5)) < 1.0
@@ -74,7 +74,7 @@ def test_boundary_f_is_1_for_shadow_boundaries_apart_by_at_most_the_tolerance():
 @given(
     seed=st.integers(0, 2**32 - 1), tolerance=st.floats(0.0, 4.0), share=st.floats(0.05, 0.95), size=st.integers(1, 9)
 )
-def test_boundary_f_matches_brute_force_distances(seed, tolerance, share, size):
+def test_shadow_metric_boundary_f_matches_brute_force_distances(seed, tolerance, share, size):
     """The reference compares all pairs of boundary pixels."""
     noise = np.random.default_rng(seed).random((2, size, 9))
     shadow, reference = (np.where(noise < share, 1.0, 0.0)[index] for index in range(2))
@@ -105,7 +105,7 @@ def test_overlap_of_shadows_is_1_if_both_images_have_none_and_0_if_only_one_has_
     assert math.isnan(ls.metrics.sae(something, nothing))
 
 
-def test_boundary_f_does_not_count_the_image_border_as_a_shadow_boundary():
+def test_shadow_metric_boundary_f_does_not_count_the_image_border_as_a_boundary():
     """A shadow that fills the image has no boundary; a shadow cut by the border has one inside only."""
     full = np.ones((8, 8))
     assert ls.metrics.boundary_f(full, full) == 1.0
@@ -165,7 +165,7 @@ def test_shadow_metrics_refuse_invalid_arguments_with_a_one_line_error(metric):
         metric([[0.0], [0.0, 1.0]], shadow)
 
 
-def test_boundary_f_refuses_a_negative_tolerance():
+def test_shadow_metric_boundary_f_refuses_a_negative_tolerance():
     """The range is 0 to 100."""
     with pytest.raises(ls.ConfigError, match="tolerance is -1"):
         ls.metrics.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=-1.0)

@@ -126,7 +126,9 @@ def test_focus_pixel_of_a_windowed_camera_is_in_full_image_coordinates() -> None
         ((0, 0, 16.5, 16), "four whole numbers"),
     ],
 )
-def test_camera_refuses_invalid_windows(window: tuple[float, ...], message: str) -> None:
+def test_camera_refuses_windows_that_are_misaligned_empty_or_outside_its_image(
+    window: tuple[float, ...], message: str
+) -> None:
     """The constructor of the camera refuses windows outside the image or without pixels."""
     with pytest.raises(ls.SceneError, match=message):
         lens(60.0, SIZE, window=window)

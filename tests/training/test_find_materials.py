@@ -226,7 +226,7 @@ def test_find_materials_refuses_impossible_requests_with_a_one_line_error(tmp_pa
         ls.inverse.find_materials(away, folder, QUICK, device="cpu")
 
 
-def test_materials_state_keeps_its_fingerprint_between_versions(tmp_path: Path) -> None:
+def test_material_search_has_the_same_fingerprint_as_in_version_0_1_0(tmp_path: Path) -> None:
     """The hash is that of version 0.1.0, whose settings had another name for ``environment_steps``."""
     line = np.arange(3.0)
     means, rotations = np.stack([line] * 3, axis=1), np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))

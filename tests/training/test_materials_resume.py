@@ -150,7 +150,7 @@ def test_material_search_discards_saved_state_of_another_capture_or_other_settin
         assert "materials.npz: is damaged, or of another capture, other images or settings" in caplog.text, case
 
 
-def test_material_search_refuses_an_unwritable_output_before_reading(
+def test_material_search_refuses_an_unwritable_output_before_it_reads_any_input(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The error comes before any input is read."""

@@ -261,7 +261,7 @@ def accepts(*messages: object) -> list[bool]:
     return [inbox.accepts(msgspec.msgpack.encode(message)) for message in messages]
 
 
-def test_valid_page_messages_are_accepted() -> None:
+def test_valid_messages_of_viewer_pages_are_accepted() -> None:
     """The messages are a camera, a changed control value and an uploaded file in parts."""
     start = UPLOAD | {"size_bytes": 5, "part_count": 2}
     parts = [PART | {"part_index": number, "content": content} for number, content in enumerate((b"abc", b"de"))]
@@ -291,7 +291,9 @@ def test_valid_page_messages_are_accepted() -> None:
         {"type": "ScenePointerMessage", "screen_pos": []},
     ],
 )
-def test_invalid_page_messages_are_dropped_and_logged_once(message: object, caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_messages_of_viewer_pages_are_dropped_and_logged_once(
+    message: object, caplog: pytest.LogCaptureFixture
+) -> None:
     """The log has one line per page, whatever the number of invalid messages."""
     assert accepts(message, message, CAMERA) == [False, False, True]
     assert len(caplog.records) == 1

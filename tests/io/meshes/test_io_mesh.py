@@ -37,7 +37,7 @@ def read_one(path: Path) -> Mesh:
     return mesh
 
 
-def test_obj_textures_are_upright(tmp_path: Path) -> None:
+def test_textures_of_obj_meshes_are_read_upright(tmp_path: Path) -> None:
     """OBJ starts v at the bottom: the lower left corner shows the image's lower left texel."""
     mesh = read_one(write_obj(tmp_path))
     np.testing.assert_array_equal(mesh.positions, QUAD)

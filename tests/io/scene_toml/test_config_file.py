@@ -109,7 +109,7 @@ def configs(kind: type) -> st.SearchStrategy[Any]:
 
 
 @given(configs(ls.RenderConfig))
-def test_saved_render_settings_load_exactly(config: ls.RenderConfig) -> None:
+def test_saved_render_settings_load_with_exactly_equal_values(config: ls.RenderConfig) -> None:
     """Random settings are equal to the last bit."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "settings.toml"

@@ -197,7 +197,7 @@ def test_error_for_an_unsupported_usd_particle_kernel_names_the_kernel(
 
 
 @pytest.mark.parametrize("where", ["field", "attribute"])
-def test_linear_usd_sh_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
+def test_sh_coefficients_of_usd_captures_in_linear_colour_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
     """The prim or the attribute may state the linear colour space: 0.5 becomes 0.735."""
     dc = (0.5 - 0.5) / 0.28209479177387814
     grey = f"[({dc}, {dc}, {dc}), ({dc}, {dc}, {dc})]"

@@ -85,7 +85,7 @@ def test_usd_polygons_become_triangle_fans(tmp_path: Path) -> None:
     assert quad.material.base_color == (0.18, 0.18, 0.18)
 
 
-def test_left_handed_usd_faces_are_reversed(tmp_path: Path) -> None:
+def test_faces_of_left_handed_usd_meshes_are_reversed(tmp_path: Path) -> None:
     """A clockwise face gets the opposite normal."""
     quad = load_scene(tmp_path, mesh('uniform token orientation = "leftHanded"')).meshes[0].mesh
     corners = quad.positions[quad.indices[0]]
@@ -273,7 +273,7 @@ def test_usd_vertex_colours_are_used_only_if_a_shader_reads_them(tmp_path: Path)
     assert unread.colors is None
 
 
-def test_usd_instances_share_one_mesh(tmp_path: Path) -> None:
+def test_usd_instances_of_one_prototype_share_one_mesh(tmp_path: Path) -> None:
     """Two instances refer to one prim, one instance below the other: one mesh has two transforms and names."""
     body = (
         'class "P" {\n def Xform "tree" {\n' + mesh() + "}\n}\n"

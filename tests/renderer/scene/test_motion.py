@@ -217,7 +217,7 @@ def test_instances_of_one_asset_are_matched_in_order_between_frames() -> None:
     close(sequence.mesh_before(0, 3), points_of(ls.MeshInstance(mesh, HERE), 3))
 
 
-def test_previous_pixels_are_projected_by_the_previous_camera() -> None:
+def test_previous_pixel_of_a_point_is_its_projection_by_the_previous_camera() -> None:
     """Pixel and distance equal the previous camera's projection; points behind that camera have no previous pixel."""
     before = ls.Camera.look_at(
         (0.3, -0.2, 0.1), (0.1, 0.2, 4.0), (0.1, -1.0, 0.0), width=70, height=50, fov_y=0.9, near=0.02
