@@ -105,7 +105,7 @@ def test_render_width_and_height_apply_to_cameras_without_a_size(work):
     assert read_image(work.path("a.png"))["srgb"].shape == (24, 32, 3)
 
 
-def test_render_with_set_options_equals_library_render_with_equal_settings(work):
+def test_option_set_of_render_gives_the_image_of_library_render_with_equal_settings(work):
     """The image equals that of `ls.render` with equal settings."""
     ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
     scene = ls.Scene([work.capture("bands.ply")])

@@ -53,7 +53,7 @@ def test_error_for_an_unknown_option_named_like_a_setting_suggests_the_option_se
         ("farm render a.ply --cap 4", "--capture-gain"),
     ],
 )
-def test_unknown_option_is_answered_with_a_similar_valid_option(
+def test_error_for_an_unknown_option_suggests_a_similar_valid_option(
     line: str, meant: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Synonyms, beginnings, values and misspellings are recognised; the named help is that of the command."""
@@ -71,7 +71,7 @@ def test_unknown_option_is_answered_with_a_similar_valid_option(
         ("render a.ply -x", "-x is no option of lumisplat render (see lumisplat render --help)"),
     ],
 )
-def test_option_of_other_commands_is_answered_with_the_commands_that_have_it(
+def test_error_for_an_option_of_other_commands_names_the_commands_that_have_it(
     line: str, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """If no command has the option, the line names only the help."""

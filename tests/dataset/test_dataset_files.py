@@ -267,7 +267,7 @@ def test_each_mistake_in_data_set_settings_is_named_by_a_one_line_error(tmp_path
 
 
 @pytest.mark.parametrize(("former", "present"), [("lights.sky", "lights.ambient"), ("lights.lamps", "lights.points")])
-def test_former_names_of_settings_are_answered_with_the_present_ones(former: str, present: str) -> None:
+def test_error_for_a_former_name_of_a_data_set_setting_states_the_present_name(former: str, present: str) -> None:
     """The error names the setting that has replaced the former one."""
     with pytest.raises(ls.ConfigError, match=f"it is called '{present}' now"):
         change_config(ls.config.DatasetConfig(), former, "1")

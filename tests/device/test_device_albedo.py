@@ -47,7 +47,9 @@ def furnace_integral(row: npt.NDArray[np.void], cosine: float) -> npt.NDArray[np
 
 @pytest.mark.parametrize("cosine", [0.95, 0.5, 0.2])
 @pytest.mark.parametrize("name", MATERIALS)
-def test_denoising_albedo_equals_the_bsdf_integral_in_a_constant_environment(name: str, cosine: float) -> None:
+def test_albedo_given_to_the_denoiser_equals_the_bsdf_integral_in_a_constant_environment(
+    name: str, cosine: float
+) -> None:
     """Diffuse plus glossy albedo equals the integral of reflected light, transmitted albedo that of transmitted light.
 
     The tolerance covers the curve fit of the energy that microfacets lose. The fit is worst for rough metals and at

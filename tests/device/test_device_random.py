@@ -185,7 +185,7 @@ def test_random_draws_of_different_samples_and_seeds_are_independent(step: int) 
             assert np.abs(pair_z(absorbed(first, dimension), absorbed(second, dimension))).max() < LIMIT
 
 
-def test_both_random_lens_coordinates_are_independent_and_so_are_draws_after_bounces() -> None:
+def test_random_numbers_of_lens_coordinates_and_of_successive_bounces_are_independent() -> None:
     """The two lens coordinates are independent, and so are a Gaussian's draws before and after a mirror or glass."""
     key = sample_keys(PIXELS)
     assert np.abs(pair_z(absorbed(key, LENS_RADIUS), absorbed(key, LENS_ANGLE))).max() < LIMIT

@@ -58,7 +58,7 @@ def test_delight_separates_the_albedo_of_a_room_from_its_light(box: CapturedBox,
     assert spread[0] < 0.5 * spread[1]
 
 
-def test_confidence_in_a_delighted_albedo_is_the_observed_fraction_of_irradiance(
+def test_confidence_of_delight_in_an_albedo_is_the_observed_fraction_of_irradiance(
     box: CapturedBox, estimate: MaterialEstimate
 ) -> None:
     """Confidence is low where the estimated emitter gives most light, and 1 where it does not shine."""

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.deep
 
 @pytest.mark.usefixtures("data_dir")
 @pytest.mark.parametrize("name", ["room", "spot in the sun"])
-def test_delighted_albedo_has_over_25_db_psnr_and_images_relit_with_it_over_28_db(name: str) -> None:
+def test_albedo_found_by_delight_has_over_25_db_psnr_and_images_relit_with_it_over_28_db(name: str) -> None:
     """Captured colours taken as albedo have less than 18 dB; the estimate removes at least 60 % of the shadows."""
     figures, _ = measured(CASES[name]("cpu"), "cpu")
     assert figures["captured_db"] < 18.0

@@ -60,7 +60,7 @@ def test_deep_shadow_maps_of_all_light_types_at_one_position_are_equal(light: An
     np.testing.assert_array_equal(behind(ball(), light), behind(ball()))
 
 
-def test_deep_shadow_maps_accept_sets_instances_scenes_and_lists_as_casters() -> None:
+def test_deep_shadow_maps_accept_captures_instances_scenes_and_lists_as_casters() -> None:
     """Equal Gaussians cast equal shadows in any form."""
     moved = replace(ball(), means=ball().means + np.array([1.0, 2.0, 3.0], np.float32))
     back = similarity((0.3, -0.2, 1.0), 0.7)

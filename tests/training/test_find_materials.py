@@ -191,7 +191,9 @@ def test_error_for_an_invalid_setting_of_materials_config_names_the_setting(
         ls.config.MaterialsConfig(**cast(Any, {name: value}))
 
 
-def test_find_materials_reports_images_of_changing_exposure(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_find_materials_logs_how_much_the_exposure_of_the_images_varies(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Every third image is a stop darker, every third a stop brighter; images of one exposure are not reported."""
     capture = matte(ball(200), 0.5 * GREY, constant_radiance)
     folder = write_training_images(tmp_path, capture, count=9, size=32)

@@ -493,7 +493,7 @@ def test_simultaneous_edits_of_several_threads_are_all_applied() -> None:
     assert session.state.document.entry(2).lights[0].intensity == 5.0  # pyright: ignore
 
 
-def test_every_readable_usd_extension_can_be_added() -> None:
+def test_files_of_every_readable_usd_extension_can_be_added_in_the_viewer() -> None:
     """The upload and file list accept all OpenUSD extensions that the package reads."""
     assert {*USD} <= {*adding._READABLE}
 

@@ -54,7 +54,7 @@ def test_rasterised_alpha_is_at_most_0_99_and_is_set_to_0_below_1_255(draw: Draw
     assert frame.alpha.max() == pytest.approx(alpha, abs=1e-6)
 
 
-def test_nearer_gaussian_is_blended_over_the_farther_one_in_any_set_order(draw: Draw) -> None:
+def test_nearer_gaussian_is_blended_over_the_farther_one_for_any_order_in_the_scene(draw: Draw) -> None:
     """The background shows behind both Gaussians."""
     near = one_gaussian((0.0, 0.0, 3.0), opacity=0.6, color=(1.0, 0.0, 0.2))
     far = one_gaussian((0.0, 0.0, 5.0), opacity=0.5, color=(0.0, 1.0, 0.4))

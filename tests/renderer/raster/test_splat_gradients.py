@@ -131,7 +131,7 @@ def test_differentiable_raster_frames_equal_ordinary_raster_frames() -> None:
     np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config, device="cpu").color)
 
 
-def test_raster_gradients_of_a_set_are_the_sum_of_its_instances_transformed_gradients() -> None:
+def test_raster_gradients_of_a_capture_sum_the_transformed_gradients_of_its_instances() -> None:
     """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), view()
     transform = np.eye(4)

@@ -128,7 +128,7 @@ def test_gpu_schedule_gives_splats_behind_opaque_tiles_zero_unscented_gradients(
     np.testing.assert_allclose(warps.weights, tiles.weights, rtol=1e-3, atol=1e-4)
 
 
-def test_unscented_gradients_of_a_set_are_the_sum_of_its_instances_transformed_gradients() -> None:
+def test_unscented_gradients_of_a_capture_sum_the_transformed_gradients_of_its_instances() -> None:
     """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), VIEWS["fisheye"]
     angle, scale, transform = 0.7, 1.3, np.eye(4)

@@ -21,7 +21,7 @@ def tile_row(first: int, count: int) -> np.ndarray:
     return np.column_stack([x, np.full(count, 4.5), np.full(count, 0.5)])
 
 
-def test_radiance_cache_evicts_a_tile_the_set_number_of_frames_after_its_last_use() -> None:
+def test_radiance_cache_evicts_a_tile_the_configured_number_of_frames_after_its_last_use() -> None:
     """A tile is evicted exactly ``unused_frames`` frames after its last use."""
     rig = CacheRig(unused_frames=10)
     rig.insert(made_samples(tile_row(0, 20), radiance=2.0), 0)

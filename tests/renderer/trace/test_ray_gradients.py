@@ -266,7 +266,7 @@ def test_differentiable_traced_frames_equal_ordinary_traced_frames() -> None:
     np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config(), device="cpu").color)
 
 
-def test_ray_gradients_of_a_set_are_the_sum_of_its_instances_transformed_gradients() -> None:
+def test_ray_gradients_of_a_capture_sum_the_transformed_gradients_of_its_instances() -> None:
     """An instance has the gradients of a set stored with its transform applied; instances of one set add up."""
     gaussians, camera = replace(cloud(9, degree=0), kernel_degree=4), view()
     angle, scale, transform = 0.7, 1.3, np.eye(4)
