@@ -27,14 +27,14 @@ deviations.
 """
 
 NODE_WIDTH = 8
-"""Children of a BVH node: their boxes fill one vector register."""
+"""Number of children of a BVH node: one coordinate of their eight boxes fills a vector register."""
 
 BOX_MARGIN = 1e-6
 """Fraction of a box's longest side and of its distance from the origin by which BVH boxes grow, so that rounding loses
 no hit."""
 
 HIT_COUNTS = (4, 8, 16, 32)
-"""Accepted values of the settings for hits per pass; kernels have storage for the largest value."""
+"""Accepted values of ``TraceConfig.hits_per_pass`` and ``ShadowConfig.hits``; kernels have storage for the largest."""
 
 HIT_BUFFER_CPU, HIT_BUFFER_CUDA = 64, 32
 """Number of sorted hits that a ray buffers per pass on the CPU, and on CUDA, where the buffer is in local memory.
@@ -47,8 +47,8 @@ all children of a node except the child being visited.
 
 TRAVERSE_STACK_SMALL = 96
 """Entries of the smaller traversal stack that CUDA kernels use if a scene's BVHs are shallow enough, which is known
-after the build. Measured need: 49 for a million evenly spread Gaussians, 57 for the biker, 106 for a million Gaussians
-whose density varies a thousandfold."""
+after the build. Measured need: 49 for a million evenly spread Gaussians, 57 for a capture of 153,000, 106 for a million
+Gaussians whose density varies a thousandfold."""
 
 REBUILD_COST = 1.5
 """Factor by which the cost of a refitted BVH (surface area of all nodes over that of the root) may grow before the BVH
@@ -63,13 +63,13 @@ SAMPLES_MAX = 16_777_216
 """Largest number of samples per pixel: beyond 2^24, one more sample no longer changes a float32 mean."""
 
 NOISE_SAMPLES_MIN = 16
-"""Samples per pixel before its noise is estimated: an estimate from fewer samples is itself noise."""
+"""Smallest number of samples from which the noise of a pixel is estimated: with fewer, the estimate is itself noise."""
 
 NOISE_PIXELS = 0.95
 """Quantile of the pixels' relative errors that is reported as the noise of a frame."""
 
 SAMPLE_RATES = 16
-"""Number of sampling rates that adaptive sampling chooses from for each pixel."""
+"""Number r of sampling rates: adaptive sampling gives a pixel 1, 2, ... or r of every r samples of the frame."""
 
 SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
 """Offset in pixels, modulo 1, from one sample of a pixel to the next: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1
@@ -78,8 +78,8 @@ SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
 # --- Rays that hit meshes, mirrors and glass ---
 
 RAY_START_BACK = 4e-6
-"""Distance by which a ray starts in front of a distant box, as a fraction of the distance to the box: 64 float32
-roundings."""
+"""Distance in front of a mesh's bounding box from which rays are intersected with the mesh, as a fraction of the ray's
+distance to the box: 64 float32 roundings."""
 
 SPAWN_ERROR = 2.0**-20
 """Rounding error of a hit point, relative to the coordinates from which the point and the next intersection are
@@ -126,7 +126,7 @@ RADIANCE_MAX = 2.0**64
 """Upper bound to which radiance is clamped: far above the white of every tone mapper, far below the largest float32."""
 
 WEIGHT_ROUNDING = 1e-5
-"""Tolerance within which a sum of weights counts as 1, because it sums float32 products."""
+"""Blending weights whose sum is within this of 1 count as full coverage, because float32 sums round."""
 
 NEUTRAL_TOE = 0.04
 """F90 of Khronos PBR Neutral (github.com/KhronosGroup/ToneMapping); its Ks and Kd follow."""
@@ -155,24 +155,26 @@ albedo of sheen exceeds 1 at more and more angles."""
 # --- Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md) ---
 
 SHADOW_TILE = 8
-"""Side, in texels, of the atlas tiles for which shadow casters are listed; the value of Mir et al. 2026."""
+"""Side, in texels, of the tiles of a deep shadow map, each with a list of its casters; the value of Mir et al. 2026."""
 
 SHADOW_BOUND_MARGIN = 1e-4
-"""Fraction by which the bounds of tiles and casters grow, so that rounding loses no caster."""
+"""Fraction by which the bounds of a deep shadow map's tiles and casters grow, so that rounding loses no caster."""
 
 SHADOW_FOOTPRINT = 3.0
-"""Standard deviations around a receiver's mean within which it samples the shadow map; splats end there, too."""
+"""Standard deviations from a receiver's mean up to which it samples a deep shadow map, and up to which casters reach.
+"""
 
 # --- Light estimation from captured surfaces (docs/method/relighting.md#traces-of-light) ---
 
 SURFACE_REACH = 1.1
-"""Half the side of the cube that holds a capture's surfaces, in units of the scene extent."""
+"""Half the side of the cube in which estimates of lights and sun look for captured surfaces, in units of the capture's
+extent."""
 
 TRACE_DIRECTIONS = 128
-"""Number of directions from which a smooth environment lights the captured surfaces."""
+"""Number of directions from which light estimation lights captured surfaces by a smooth environment."""
 
 TRACE_SURFACES_MIN = 200
-"""Fewest surface Gaussians from which a light can be estimated."""
+"""Smallest number of captured surface points from which lights or a sun can be estimated."""
 
 TRACE_GROUND_MIN = 0.3
 """Length of the mean occluded direction (`ground_direction`) from which on that direction counts as downwards. The
@@ -198,7 +200,8 @@ SH_C0 = 0.28209479177387814
 # --- Light probes (docs/method/relighting.md#probes) ---
 
 PROBE_FACE_PX = 64
-"""Side of a probe's cube-map faces in pixels: about 1.4 degrees a pixel, while SH of degree 8 vary over 20 degrees."""
+"""Side of a light probe's cube-map faces in pixels: about 1.4 degrees a pixel, while SH of degree 8 vary over 20
+degrees."""
 
 # --- Meshes ---
 
@@ -209,7 +212,7 @@ the edges of spot, the bunny and the teapot bend by less than 41 degrees; hexago
 # --- Placement ---
 
 TRANSFORM_MAX = 1e18
-"""Largest entry of a transform and of its inverse: its square still fits into float32."""
+"""Largest absolute entry of a transform and of its inverse: its square still fits into float32."""
 
 SIMILARITY_TOLERANCE = 1e-4
 """Tolerance for the axes of a capture's transform: differences of squared lengths, and cosines between axes. It allows
@@ -264,7 +267,8 @@ SHADE_BANDS_PER_THREAD = 4
 """Bands (ranges of rays) per CPU thread when shading surfaces: pixels without a hit cost little."""
 
 COUNT_SUM_THREADS = 4096
-"""Threads that sum 64-bit counts in the parallel schedule: (tile, item) pairs, and samples that are not finite."""
+"""Number of CUDA threads that together sum an array of counts in 64 bits: (tile, item) pairs, or samples that are not
+finite."""
 
 # --- Files ---
 
@@ -303,25 +307,27 @@ string, because Warp precompiles its header once per string, which takes seconds
 # --- SH fits of lit captures ---
 
 RIDGE = 3e-4
-"""Factor of the ridge penalty of an SH fit: for degree l, (l (l + 1))^2 times the square of each coefficient, in units
-in which a constant view has weight 1. The penalty keeps directions without samples smooth, and takes 4 % of degree 3
-where all directions are sampled."""
+"""Factor of the ridge penalty of SH fits of degree l: ``RIDGE (l (l + 1))^2`` on the square of each coefficient, where
+views evenly spread over all directions have weight 1. The penalty keeps directions without views smooth, and takes 4 %
+of degree 3 with views in all directions."""
 
 # --- Spatial blocks of captures (docs/adr/0073-out-of-core-captures-in-blocks.md) ---
 
 BLOCK_GAUSSIANS_MAX = 2**19
-"""Largest number of Gaussians in a block: 29 MB at degree 0; a billion Gaussians make 2,000 blocks."""
+"""Largest number of Gaussians in a spatial block of a capture stored in blocks: 29 MB at SH degree 0. A billion
+Gaussians make 2,000 blocks."""
 
 BLOCK_PIECE = 2**18
-"""Gaussians that are read, sorted or copied at once."""
+"""Number of Gaussians that are read, sorted or copied at once while a capture is written in blocks."""
 
 # --- Material estimation of captures (docs/method/delighting.md) ---
 
 RADIANCE_LEAST = 1e-4
-"""Radiance below which logarithms and ratios are clamped."""
+"""Lower bound, in units of display white, to which radiance is raised before its logarithm is taken or it divides."""
 
 GAUSSIANS_LEAST = 64
-"""Fewest Gaussians that can form a surface."""
+"""Smallest number of Gaussians with `SURFACE_OPACITY_MIN` for a capture to have surfaces that can be measured or
+delit."""
 
 SURFACE_OPACITY_MIN = 0.1
 """Smallest opacity of the Gaussians that form a surface."""
@@ -332,8 +338,9 @@ of a fraction of the set's extent and a multiple of the largest scale of the Gau
 thick."""
 
 ISOTROPIC_RATIO, ISOTROPIC_SHARE_MAX = 0.9, 0.8
-"""Ratio of the smallest to the middle scale above which a Gaussian has no normal, and the fraction of such Gaussians,
-by area, from which on a capture counts as haze. Measured fractions are 0.02 to 0.65, even for barely trained captures.
+"""Ratio of the smallest to the middle scale above which a Gaussian counts as round, without a normal; then the
+fraction of round Gaussians, by area, from which on a capture counts as haze. Measured fractions are 0.02 to 0.65, even
+for barely trained captures.
 """
 
 AGREEING_PICKS, AGREEING_SET, AGREEING_NEIGHBOURS = 256, 50_000, 16
@@ -349,7 +356,8 @@ fractions up to 0.006 and means up to 1.6 standard errors.
 """
 
 DAMPING_START, DAMPING_MAX = 1e-3, 1e4
-"""Initial and largest Levenberg-Marquardt damping, relative to the diagonal; at the largest, steps are negligible."""
+"""Initial and largest Levenberg-Marquardt damping of light fits, relative to the diagonal of the normal equations; at
+the largest, steps are negligible."""
 
 # --- Materials and light from images (docs/method/relightable.md) ---
 
@@ -378,8 +386,8 @@ SSIM_WINDOW_PX = 11
 # --- Windows of frames (docs/adr/0072-tiles-and-sample-blocks-match-the-frame.md) ---
 
 WINDOW_STEP = 16
-"""Number of pixels whose multiples are the edges of windows, so that a window's pixels equal those of the whole image:
-it is a multiple of raster tiles (`TILE_PX`) and of squares of rays (`RAY_BLOCK_PX`)."""
+"""Pixel step of the edges of windows, rectangles of an image that are rendered alone. As a multiple of raster tiles
+(`TILE_PX`) and of squares of rays (`RAY_BLOCK_PX`), it makes their pixels equal those of the whole image."""
 
 # --- Training images ---
 
@@ -389,21 +397,23 @@ COINCIDENT_EXTENT = 1e-7
 # --- Global illumination in real time (docs/method/realtime.md) ---
 
 STILL_PX = 0.01
-"""Distance in pixels from a pixel's centre within which a reprojected point counts as still, and is not resampled."""
+"""Motion in pixels below which a surface counts as still in the image, so that its history is read at its own pixel,
+without interpolation."""
 
 PROBE_NORMALS = 16
-"""Resolution of the direction map that quantises normals before a probe's cosine weights are looked up."""
+"""Cells along each side of the octahedral map to which normals are rounded, to look up a screen probe's cosine
+weights."""
 
 MEANS_CHUNK = 64
-"""Number of tile sums that one thread adds; a single thread for a whole frame would keep a GPU waiting for a
-millisecond."""
+"""Number of tiles whose irradiance sums one thread adds up to the frame's mean; a single thread for all tiles would
+keep a GPU waiting for a millisecond."""
 
 EMITTER_OPAQUE = 0.05
-"""Transmittance at which rays to captured emitters end; the remaining transmittance counts as hit."""
+"""Transmittance at which rays towards captured emitters end; the remaining transmittance counts as blocked, too."""
 
 GRID_LIGHTS = 16
-"""Largest number of lights that a surface samples from directly; with more, each cell of the light grid holds a sample
-of them."""
+"""Number of lights up to which real-time surfaces choose among all lights. With more, each cell of the light grid
+stores a random sample of them for the surfaces in it."""
 
 GRID_CELLS_MAX = 2**18
 """Largest number of light-grid cells, fixed so that the host need not wait for a GPU's count; surfaces in cells beyond
@@ -430,4 +440,5 @@ SURFACE_ALPHA = 0.5
 """Smallest alpha of a pixel that counts as covered by a surface."""
 
 DEAD_OPACITY = 0.005
-"""Opacity at or below which a Gaussian is pruned or relocated. Kerbl et al. 2023, Kheradmand et al. 2024."""
+"""Opacity below which adaptive densification prunes a Gaussian, and at or below which MCMC relocates it. Kerbl et al.
+2023, Kheradmand et al. 2024."""

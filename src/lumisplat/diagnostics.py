@@ -28,7 +28,7 @@ from lumisplat.runtime.start import start_warp
 
 _DISTRIBUTION = "lumisplat"
 _FOR_DEVELOPERS = ("dev", "docs", "bench")
-"""Extras that no feature needs."""
+"""Extras (optional dependencies) for development alone, which the diagnosis leaves out."""
 
 _TRIAL_SIZE = 1_000
 _FREE_BYTES_MIN = 2**29
@@ -36,7 +36,7 @@ _FREE_BYTES_MIN = 2**29
 tests had run."""
 
 _SIGNS_OF_A_GPU = ("/dev/nvidia0", "/dev/dxg", "/proc/driver/nvidia/version")
-"""Files that exist where a GPU driver is installed (the second one in WSL)."""
+"""Files that exist where an NVIDIA driver is installed; ``/dev/dxg`` is that of WSL."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +55,18 @@ class DeviceFacts:
 
 @dataclass(frozen=True)
 class CacheFacts:
-    """The folder of compiled kernels, and the space in it."""
+    """Folder of compiled kernels, its size, and the free disk space."""
 
     folder: Path
     used_bytes: int
     free_bytes: int
     problem: str | None
-    """Reason why compiled kernels cannot be stored there; None if they can."""
+    """Reason why compiled kernels cannot be stored in the folder; None if they can."""
 
 
 @dataclass(frozen=True)
 class PackageFacts:
-    """A required package, and its installed version."""
+    """A package that Lumisplat or one of its extras requires, and its installed version."""
 
     name: str
     needed: str
@@ -97,7 +97,7 @@ class ExtraFacts:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of `lumisplat.diagnostics.diagnose`."""
+    """Findings of `lumisplat.diagnostics.diagnose`: versions, devices, kernel cache, packages and extras."""
 
     version: str
     """Version of Lumisplat."""
@@ -108,12 +108,12 @@ class Diagnosis:
     cores: int
     """Number of CPU cores that this process may use."""
     packages: tuple[PackageFacts, ...]
-    """Required packages."""
+    """Packages that Lumisplat itself requires, without those of extras."""
     devices: tuple[DeviceFacts, ...]
     cache: CacheFacts
     extras: tuple[ExtraFacts, ...]
     remarks: tuple[str, ...]
-    """Observations that are no errors but may surprise, such as a GPU that cannot be used."""
+    """Observations that need no fix but may surprise, such as a GPU that cannot be used, one line each."""
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -192,7 +192,7 @@ def _processor() -> str:
 
 
 def _kernel_problem(device: Any) -> str | None:
-    """Runs a kernel that squares numbers; returns what is wrong with the results, or None."""
+    """Runs a kernel that squares numbers on a device; returns what went wrong, or None if the results are right."""
     launcher = Launcher(device.alias)
     launcher.load([trial_kernels])
     squares = Buffers(device.alias).upload("squares", wp.float32, np.full(_TRIAL_SIZE, np.nan, dtype=np.float32))

@@ -28,7 +28,7 @@ class LumisplatError(Exception):
 
 
 class ConfigError(LumisplatError, ValueError):
-    """Raised for a setting outside its range."""
+    """Raised for a setting or argument of the wrong type or outside its range."""
 
 
 class MissingExtraError(LumisplatError, ImportError):
@@ -49,7 +49,7 @@ class MissingExtraError(LumisplatError, ImportError):
 
 
 class StoppedError(LumisplatError):
-    """Raised by `lumisplat.Renderer.render` when its ``stop`` argument asks to give up the frame."""
+    """Raised by `lumisplat.Renderer.render` when its ``stop`` callback asks to abandon the frame."""
 
 
 class SceneError(LumisplatError, ValueError):

@@ -1,4 +1,4 @@
-"""Renders windows of frames, so that several processes or machines can share a frame."""
+"""Renders rectangular windows of frames, so that several processes or machines can share a frame."""
 
 from lumisplat.frame.sample_part import SamplePart
 from lumisplat.renderer.shared_samples import merge_samples, render_samples, sample_blocks

@@ -1,4 +1,4 @@
-"""Lazy imports: names of a package whose module is imported at first use."""
+"""Lazy imports: the public names of a package import their modules at first use."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def names_of_stub(package: str, file: str) -> tuple[Callable[[str], object], Cal
                 modules[alias.name] = None if node.module == "lumisplat" else node.module
 
     def elsewhere(name: str) -> str:
-        """Returns the end of the error message: the submodule that defines the name, if one does."""
+        """Returns the end of the error message for an unknown name: which submodule has it, or an empty text."""
         submodules = [module for module, home in modules.items() if home is None and not name.startswith("_")]
         found = [module for module in submodules if name in importlib.import_module(f"{package}.{module}").__all__]
         return f": it is {package}.{found[0]}.{name}" if found else ""

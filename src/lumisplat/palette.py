@@ -21,10 +21,11 @@ LLOYD_STEPS = 10
 """Iterations of k-means on each level."""
 
 BANDS_A_THREAD = 8
-"""Bands (ranges of vectors) per CPU thread: the cost of a vector varies with the size of its group."""
+"""Number of ranges of vectors per CPU thread, for load balance: the cost of a vector varies with its group's entries.
+"""
 
 _FAR = 1e15
-"""Components of unused entries: farther than every vector, while the squared distance stays finite."""
+"""Components of unused palette entries, so that no vector is nearest to them; its squared distances stay finite."""
 
 Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
@@ -32,7 +33,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Palette:
-    """Palette of K entries, and the index of the entry that approximates each of N vectors with D components."""
+    """Palette of K entries with D components, and the index of the entry that approximates each of N vectors."""
 
     entries: Floats
     """K palette entries with D components, shape (K, D)."""
@@ -66,7 +67,7 @@ def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
 
 
 def group_shares(group: Indices, errors: Floats, count: int) -> Indices:
-    """Divides ``count`` entries among the groups in proportion to the square root of (group size x squared error).
+    """Divides ``count`` palette entries among groups of vectors, in proportion to sqrt(group size x squared error).
 
     If entries were divided by group size alone, many entries would approximate vectors that are nearly equal. Each
     group gets at least one entry, and no more entries than it has vectors.
@@ -85,7 +86,7 @@ def group_shares(group: Indices, errors: Floats, count: int) -> Indices:
 
 
 def _lloyd(launcher: Launcher, values: Floats, group: Indices, shares: Indices) -> tuple[Palette, Floats]:
-    """Runs k-means within each group; also returns the squared distance of each vector to its entry.
+    """Runs k-means within each group of vectors; returns the palette, and each vector's squared distance to its entry.
 
     Args:
         launcher: Launches the comparisons.
@@ -104,7 +105,7 @@ def _lloyd(launcher: Launcher, values: Floats, group: Indices, shares: Indices) 
 
 
 class _Entries:
-    """Entries of all groups in rows of 16. Each group starts a new row, so the end of its last row may be unused."""
+    """Palette entries in rows of 16. Each group's entries start a new row, so the end of its last row may be unused."""
 
     def __init__(self, vectors: Floats, group: Indices, shares: Indices) -> None:
         self._vectors, self._group = vectors, group
@@ -113,7 +114,7 @@ class _Entries:
         rank = np.arange(len(owner)) - (np.cumsum(shares) - shares)[owner]
         self._used: Indices = LANES * self.first_row[owner] + rank
         self.values = np.full((self.first_row[-1] * LANES, vectors.shape[1]), _FAR, dtype=np.float32)
-        """Entries with D components in rows of 16, shape (16 * number of rows, D)."""
+        """Entries with D components, 16 for each row, shape (16 * number of rows, D); unused ones hold `_FAR`."""
         # Entries start at vectors spread evenly over the group: captures in Morton order make that even in space.
         members = np.argsort(group, kind="stable")
         sizes = np.bincount(group, minlength=len(shares))
@@ -121,7 +122,7 @@ class _Entries:
         self.values[self._used] = vectors[members[picks]]
 
     def move(self, labels: Indices, distances: Floats) -> None:
-        """Moves each entry to the mean of its vectors, and unused entries to the worst approximated vectors."""
+        """Moves each entry to the mean of the vectors that chose it, and unused entries to badly fitted vectors."""
         order = np.argsort(labels, kind="stable")
         found, starts, counts = np.unique(labels[order], return_index=True, return_counts=True)
         sums = np.add.reduceat(self._vectors[order], starts, axis=0, dtype=np.float64)
@@ -135,7 +136,7 @@ class _Entries:
 
 
 class _Search:
-    """Vectors on the device, ready to be compared with entries."""
+    """Vectors uploaded to the device, for repeated searches of the nearest palette entry."""
 
     def __init__(self, launcher: Launcher, values: Floats, group: Indices, first_row: Indices) -> None:
         self._launcher, self._buffers, self._count = launcher, Buffers(launcher.device), len(values)
@@ -146,7 +147,7 @@ class _Search:
         self._vectors.first_row = self._buffers.upload("first_row", int, first_row.astype(np.int32))
 
     def nearest(self, entries: Floats) -> tuple[Indices, Floats]:
-        """Returns the nearest entry of each vector, and the squared distance to it."""
+        """Returns, for each vector, the index of the nearest entry of its group, and the squared distance to it."""
         rows = entries.reshape(-1, LANES, entries.shape[1]).transpose(0, 2, 1).reshape(-1, LANES)
         self._vectors.entries = self._buffers.upload("entries", Lanes, rows)
         entry = self._buffers.get("entry", int, self._count)

@@ -1,4 +1,4 @@
-"""Nearest-entry search of a palette. One item is one vector; it reads the entries of its group, 16 at a time."""
+"""Finds the nearest palette entry of each vector. One thread per vector; it reads its group's entries, 16 at a time."""
 
 import warp as wp
 
@@ -7,7 +7,7 @@ from lumisplat.device.structs import struct
 wp.set_module_options({"enable_backward": False})
 
 LANES = 16
-"""Entries that are compared side by side: one or two vector registers of a CPU."""
+"""Number of palette entries that are compared with a vector side by side: one or two vector registers of a CPU."""
 
 Lanes = wp.types.vector(length=LANES, dtype=wp.float32)
 
@@ -21,16 +21,17 @@ class GroupedVectors:
     values: wp.array[float]
     """Components of all vectors, vector by vector, length N D."""
     group: wp.array[int]
-    """Group of each vector."""
+    """Index of each vector's group; a vector is compared with the palette entries of its group only."""
     entries: wp.array[Lanes]
-    """Rows of 16 entries, component by component; unused entries are farther away than every vector."""
+    """Palette entries in rows of 16, D consecutive elements a row, one for each component; unused entries are farther
+    away than every vector."""
     first_row: wp.array[int]
-    """First row of each group, and finally the total number of rows."""
+    """Index of the first row of palette entries of each group, and finally the total number of rows."""
 
 
 @wp.kernel(enable_backward=False)
 def find_nearest(start: int, vectors: GroupedVectors, entry_out: wp.array[int], distance_out: wp.array[float]):
-    """Writes the nearest entry of each vector's group, as 16 row + lane, and its squared distance."""
+    """Writes the nearest entry of each vector's group, as 16 row + position in the row, and its squared distance."""
     i = start + wp.tid()
     nearest = int(-1)
     least = float(wp.inf)

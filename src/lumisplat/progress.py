@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 _NEARLY = 0.99
-"""Largest fraction that is reported before the work is done."""
+"""Largest fraction that `StagedProgress` reports, because only the end of the work is 1."""
 
 Progress = Callable[[str, float], None]
-"""Callback that receives a label of the work and the fraction done, 0..1."""
+"""Callback that receives a description of the current work and the fraction done, 0..1."""
 
 
 def no_progress(label: str, fraction: float) -> None:
@@ -16,7 +16,7 @@ def no_progress(label: str, fraction: float) -> None:
 
 
 class StagedProgress:
-    """Progress of work that consists of stages, from their expected costs and the costs of finished pieces.
+    """Reports the progress of work in several named stages, from the expected cost of each and the cost done so far.
 
     If a stage costs less than expected, progress jumps to its end; if it costs more, progress waits there.
 
@@ -31,18 +31,18 @@ class StagedProgress:
         self._before, self._stage, self._done = 0.0, "", 0.0
 
     def plan(self, stages: Mapping[str, float]) -> None:
-        """Sets the stages in their order, and the expected cost of each."""
+        """Sets the names of the stages, in order, and the expected cost of each in any common unit."""
         self._stages = dict(stages)
 
     def begin(self, stage: str) -> None:
-        """Begins a stage."""
+        """Begins the planned stage of that name: reports its label, and all earlier stages as done."""
         names = list(self._stages)
         self._before = sum(self._stages[name] for name in names[: names.index(stage)])
         self._stage, self._done = stage, 0.0
         self.add(0.0)
 
     def add(self, cost: float) -> None:
-        """Reports the cost of a finished piece; does nothing before the first stage begins."""
+        """Adds ``cost`` to the cost done in the current stage, and reports progress; does nothing before ``begin``."""
         if not self._stage:
             return
         self._done += cost

@@ -153,7 +153,7 @@ class _Settings:
 
     @property
     def samples_separate(self) -> int:
-        """Samples per view of sets whose Gaussians are first fitted separately and then jointly."""
+        """Samples per view in the separate fit of each Gaussian, half of ``samples``, where a joint fit follows."""
         return max(self.samples // 2, 2)
 
 
@@ -251,15 +251,15 @@ class _Views:
 
     gaussians: Gaussians
     directions: Doubles
-    """Directions from the camera to the Gaussian, object space, shape (N, D, 3)."""
+    """Unit directions from the camera to each of N Gaussians, D each, object space, shape (N, D, 3)."""
     rotation: Doubles
-    """Rotation from object to world, shape (3, 3)."""
+    """Rotation of the splat instance from object to world space, shape (3, 3)."""
     first: int
-    """Index of the first Gaussian among all Gaussians of the scene."""
+    """Index of the batch's first Gaussian among all Gaussians of the scene."""
 
     @property
     def along(self) -> FloatArray:
-        """Unit directions of all views, from the camera to the Gaussian, world space, shape (N * D, 3)."""
+        """Unit directions from the camera to N Gaussians, D each, world space, shape (N * D, 3)."""
         return (self.directions.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
 
     def on_visible_sides(self, viewed: ViewRadiance, directions: Doubles) -> Doubles:
@@ -267,13 +267,13 @@ class _Views:
 
         Args:
             viewed: Radiance and visible distances of the pilot views.
-            directions: Directions from the camera to the same Gaussians, object space, shape (N, E, 3).
+            directions: E directions from the camera to each of the same N Gaussians, object space, shape (N, E, 3).
         """
         weights = self._weights(viewed)
         return on_visible_sides(directions, plane_normals(self.gaussians), weights, self._front)
 
     def fitted_sh(self, viewed: ViewRadiance, settings: _Settings) -> FloatArray:
-        """Fits K SH coefficients to the radiance of the views of each Gaussian, shape (N, K, 3)."""
+        """Fits K SH coefficients to the radiance of the views of each of N Gaussians, shape (N, K, 3)."""
         shape = (*self.directions.shape[:2], 3)
         even, odd = viewed.even.reshape(shape), viewed.odd.reshape(shape)
         front = self._front
@@ -300,9 +300,10 @@ class _Views:
         return SampleRays.of_views(some, self.directions, weights, distances, self.first)
 
     def shadow(self, viewed: ViewRadiance) -> FloatArray:
-        """Returns a factor for the captured colour of each Gaussian of a shadow catcher, shape (N, 3).
+        """Returns a factor for the captured colour of each of N Gaussians of a shadow catcher, shape (N, 3).
 
-        The factor is irradiance with over irradiance without the added objects: exactly 1 where they change nothing.
+        The factor is irradiance with over irradiance without the objects added to the scene: 1 where they change
+        nothing.
         """
         shape = (*self.directions.shape[:2], 3)
         weights = self._weights(viewed)[..., None]
@@ -317,7 +318,7 @@ class _Views:
         return (self.directions @ normals[:, :, None])[..., 0] < 0.0
 
     def _weights(self, viewed: ViewRadiance) -> Doubles:
-        """Returns the weight that each view has in SH fits and means, by `view_weights`, shape (N, D)."""
+        """Returns the weight of each of D views of N Gaussians in SH fits and means (`view_weights`), shape (N, D)."""
         shape = self.directions.shape[:2]
         light = (0.5 * (viewed.even + viewed.odd) + decode_srgb(viewed.captured)).reshape(*shape, 3)
         has_front = self.gaussians.normals is not None

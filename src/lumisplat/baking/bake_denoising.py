@@ -21,20 +21,20 @@ class RayWeights:
     """Blend weights of N Gaussians on P rays, a sparse matrix with S entries that are not zero."""
 
     ray: _Rows
-    """Index of each entry's ray, shape (S,)."""
+    """Index of the ray of each of S blend weights, shape (S,)."""
     gaussian: _Rows
-    """Index of each entry's Gaussian, shape (S,)."""
+    """Index of the Gaussian of each of S blend weights, shape (S,)."""
     weight: Doubles
-    """Blend weight of each entry, shape (S,)."""
+    """Blend weights of Gaussians on rays, S in number, shape (S,)."""
     rays: int
     gaussians: int
 
     def blended(self, values: Doubles) -> Doubles:
-        """Returns sums of C values of the Gaussians on each ray, weighted by blend weight: shape (N, C) to (P, C)."""
+        """Blends C values of N Gaussians along each of P rays, by blend weight: shape (N, C) to (P, C)."""
         return _sums(self.ray, self.weight, self.gaussian, values, self.rays)
 
     def mean_of(self, values: Doubles) -> Doubles:
-        """Returns means of C values of rays over each Gaussian, by blend weight: (P, C) to (N, C); 0 without rays."""
+        """Averages C values of P rays over each of N Gaussians, by blend weight: (P, C) to (N, C); 0 without rays."""
         total = np.maximum(np.bincount(self.gaussian, self.weight, self.gaussians), 1e-12)
         return _sums(self.gaussian, self.weight, self.ray, values, self.gaussians) / total[:, None]
 

@@ -76,19 +76,21 @@ class ViewRadiance:
     """Radiance of V views, each of a single Gaussian from one direction; means over the samples of a view."""
 
     even: Doubles
-    """Linear radiance of a view, mean over its even samples, without captured colours, shape (V, 3)."""
+    """Linear radiance of V views, means over their even samples, without captured colours, shape (V, 3)."""
     odd: Doubles
-    """Linear radiance of a view, mean over its odd samples, without captured colours, shape (V, 3)."""
+    """Linear radiance of V views, means over their odd samples, without captured colours, shape (V, 3)."""
     captured: Doubles
-    """Display-referred captured colour of the view's Gaussian if it is unlit, else 0, shape (V, 3)."""
+    """Display-referred captured colour of the Gaussian of each of V views if it is unlit, else 0, shape (V, 3)."""
     captured_weight: Doubles
-    """1 for views of unlit Gaussians, which show their captured colour, else 0, shape (V,)."""
+    """1 for those of V views whose Gaussian is unlit and shows its captured colour, else 0, shape (V,)."""
     change: Doubles
-    """Change of a shadow catcher's irradiance by the objects added to the scene, shape (V, 3)."""
+    """Change of a shadow catcher's irradiance by the objects added to the scene, in each of V views, shape (V, 3)."""
     received: Doubles
-    """Irradiance of a shadow catcher without the objects added to the scene, shape (V, 3); 0 for other Gaussians."""
+    """Irradiance of a shadow catcher without the objects added to the scene, in each of V views, shape (V, 3); 0 for
+    other Gaussians."""
     distance: Doubles
-    """Distance from which the Gaussian is visible along the view: to the first occluder, scene units, shape (V,)."""
+    """Distance from the Gaussian to the first occluder towards the camera, in each of V views, scene units, shape
+    (V,)."""
     nonfinite: int
     """Number of samples that were dropped because they were not finite."""
 

@@ -47,7 +47,8 @@ class ViewSums:
     count: wp.array[int]
     """Number of finite samples of the view, over which the sums are; other samples are dropped."""
     captured: wp.array[wp.vec3]
-    """Display-referred captured colour of an unlit Gaussian, equal in all samples."""
+    """Display-referred captured colour of the view's Gaussian if it is unlit; not a sum, as it is equal in all
+    samples."""
     captured_weight: wp.array[float]
     """1 for an unlit Gaussian, else 0."""
     factor: wp.array[wp.vec3]
@@ -123,7 +124,7 @@ def start_ray(
     sample: SampleData,
     rays: RayData,
 ):
-    """Starts a ray without a footprint; ``number`` seeds its random numbers."""
+    """Starts a ray with a footprint of 0 and no maximum length; ``number`` seeds its random numbers."""
     rays.is_active[i] = True
     rays.origin[i] = origin
     rays.direction[i] = direction

@@ -57,15 +57,15 @@ OTHERS_MAX = 0.02
 change their colours."""
 
 SEGMENT_MARGIN = 1e-4
-"""Distance by which a ray ends behind its last Gaussian and before a mesh, relative to the Gaussian's distance; larger
-than the rounding errors of float32."""
+"""Distance by which a ray ends behind its last Gaussian, in front of a mesh, relative to the Gaussian's distance;
+larger than the rounding errors of float32."""
 
 RAYS_AT_ONCE = 2**17
 """Number of rays whose Gaussians are listed at once; the lists take about 200 MB of host memory."""
 
 CHANGE_SPREAD = 0.15
-"""Standard deviation that is expected of the joint fit's change of the SH coefficient of degree 0. Degree l has 1 / (l
-+ 1) of it, so that noise does not make diffuse surfaces view-dependent."""
+"""Standard deviation by which the joint fit is expected to change SH coefficients of degree 0. For degree l it is
+divided by l + 1, so that noise does not make diffuse surfaces view-dependent."""
 
 MISFIT = 0.03
 """Error of blended SH colours, display-referred, that is expected in addition to noise."""
@@ -91,17 +91,18 @@ class Pixels:
     """
 
     colors: Doubles
-    """Display-referred colours, shape (P, 3)."""
+    """Display-referred colours of a rendered frame on P rays, shape (P, 3)."""
     noise: float
-    """Variance of the noise in the colours, a mean over all rays."""
+    """Variance of the noise in the rendered colours, a mean over all rays."""
     ray: _Rows
-    """Index of each contribution's ray, ascending, shape (S,)."""
+    """Index of the ray of each of S contributions (a Gaussian on a ray), ascending, shape (S,)."""
     gaussian: _Rows
-    """Index of each contribution's Gaussian, shape (S,)."""
+    """Index of the Gaussian of each of S contributions (a Gaussian on a ray), shape (S,)."""
     weight: Doubles
-    """Blend weight of each contribution in the colour of its ray, shape (S,)."""
+    """Blend weight in the ray's colour of each of S contributions (a Gaussian on a ray), shape (S,)."""
     direction: FloatArray
-    """Unit direction from the camera to the Gaussian's mean, object space, shape (S, 3)."""
+    """Unit direction from the camera to the Gaussian's mean, object space, of each of S contributions (a Gaussian on a
+    ray), shape (S, 3)."""
 
     def information(self, gaussians: int) -> Doubles:
         """Returns how much the rays determine the SH coefficients of each of N Gaussians, shape (N,).
@@ -121,22 +122,24 @@ class _UsableRays:
     """
 
     origins: FloatArray
-    """Origins of the rays, world space, shape (P, 3)."""
+    """Origins of P rays, world space, shape (P, 3)."""
     directions: FloatArray
-    """Unit directions of the rays, shape (P, 3)."""
+    """Unit directions of P rays, world space, shape (P, 3)."""
     alpha: Doubles
-    """Alpha of each ray, shape (P,)."""
+    """Alpha of each of P rays, shape (P,)."""
     before_mesh: Flags
-    """True for rays that end at a mesh behind their Gaussians, shape (P,)."""
+    """True for those of P rays that end at a mesh behind their Gaussians, shape (P,)."""
     ray: _Rows
-    """Index of each contribution's ray, ascending, shape (S,)."""
+    """Index of the ray of each of S contributions (a Gaussian on a ray), ascending, shape (S,)."""
     side: IntArray
-    """Side of a Gaussian that the contribution shows: 2 i for the front, 2 i + 1 for the back of Gaussian i, shape
-    (S,)."""
+    """Side of Gaussian i that each of S contributions (a Gaussian on a ray) shows: 2 i for its front, 2 i + 1 for its
+    back, shape (S,)."""
     weight: Doubles
-    """Blend weight of each contribution, shape (S,); the weights on a ray sum to the ray's alpha."""
+    """Blend weight of each of S contributions (a Gaussian on a ray), shape (S,); the weights on a ray sum to its
+    alpha."""
     along: FloatArray
-    """Unit direction of each contribution from the camera to the Gaussian's mean, object space, shape (S, 3)."""
+    """Unit direction from the camera to the Gaussian's mean, object space, of each of S contributions (a Gaussian on a
+    ray), shape (S, 3)."""
 
     @classmethod
     def joined(cls, parts: list[_UsableRays]) -> _UsableRays:
@@ -322,7 +325,16 @@ class JointShFit:
         return begins, ends, base
 
     def _displayed(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
+<<<<<<< HEAD
         """Tone-maps radiance ``light`` of rays to display-referred colours; also returns the mean noise variance."""
+=======
+        """Tone-maps the radiance of rays to display-referred colours, and returns the mean variance of their noise.
+
+        Args:
+            light: Linear radiance of the rays, from even and from odd samples, shape (2, P, 3).
+            share: Alpha of the rays, by which the colours are multiplied.
+        """
+>>>>>>> ac8b763d (Name shape letters, units and the other branch in more docstrings)
 
         def displayed(light: Doubles) -> Doubles:
             nothing = np.zeros_like(light)
@@ -375,7 +387,10 @@ class Blend:
         return self._blended(sh, 0.0, -float(np.finfo(np.float32).max))
 
     def gather(self, errors: Doubles) -> Doubles:
-        """Applies the transpose of ``blend``: errors of pixels, shape (P, 3), to SH, shape (N, K, 3)."""
+        """Applies the transpose of ``blend`` to errors of P rays: shape (P, 3) to K SH coefficients of N Gaussians.
+
+        The result has the shape (N, K, 3).
+        """
         self._colors.assign(errors.astype(np.float32))
         self._sh.fill_(0.0)
         self._launcher.run_banded(
@@ -430,7 +445,7 @@ def _ranges(count: int, at_once: int) -> Iterator[slice]:
 
 
 def _world_normals(instance: SplatInstance) -> Doubles:
-    """Returns the normals of an instance's Gaussians, world space, shape (N, 3)."""
+    """Returns the normals of an instance's N Gaussians, world space, shape (N, 3)."""
     return plane_normals(instance.gaussians) @ instance.transform[:3, :3].T / instance.scale
 
 
@@ -449,7 +464,7 @@ class FrameRays(Renderer):
     """Renders radiance along segments of rays, and lists the Gaussians that rays hit."""
 
     def radiance(self, scene: Scene, origins: FloatArray, directions: FloatArray, ends: FloatArray) -> RayHits:
-        """Renders each ray from its origin to its distance in ``ends``, shape (N,). Directions are unit vectors."""
+        """Renders each of N rays, of unit direction, from its origin to its distance in ``ends``, shape (N,)."""
         return self._queries.query(self._scene, self._ready(scene), origins, directions, ends=ends)
 
     def hits(self, scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
@@ -465,16 +480,16 @@ class FrameRays(Renderer):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HitGaussians:
-    """Gaussians that P rays hit, as S rows: sorted by ray and, for each ray, in blending order."""
+    """Hits of Gaussians by P rays, S in number: sorted by ray and, for each ray, in blending order."""
 
     ray: _Rows
-    """Index of each row's ray, shape (S,)."""
+    """Index of the ray of each of S hits, shape (S,)."""
     gaussian: _Rows
-    """Index of each row's Gaussian among all Gaussians of the scene, shape (S,)."""
+    """Index of the Gaussian of each of S hits, among all Gaussians of the scene, shape (S,)."""
     weight: Doubles
-    """Blend weight of the Gaussian on the ray, shape (S,)."""
+    """Blend weight of the Gaussian on the ray, for each of S hits, shape (S,)."""
     t: Doubles
-    """Distance of the hit along the ray, scene units, shape (S,)."""
+    """Distance along the ray of each of S hits, scene units, shape (S,)."""
     rays: int
 
     @classmethod
@@ -489,13 +504,13 @@ class HitGaussians:
         )
 
     def where(self, rows: Flags) -> HitGaussians:
-        """Returns the rows that the mask ``rows`` selects, still of P rays."""
+        """Returns the hits that the mask ``rows`` selects; the number of rays stays the same."""
         return HitGaussians(self.ray[rows], self.gaussian[rows], self.weight[rows], self.t[rows], self.rays)
 
     def total(self, values: Doubles | Flags) -> Doubles:
-        """Returns, for each ray, the sum over its Gaussians of value times blend weight, shape (P,).
+        """Returns, for each of P rays, the sum over its hits of value times blend weight, shape (P,).
 
-        ``values`` has one value for each Gaussian on a ray, shape (S,).
+        ``values`` has one value for each of the S hits of Gaussians, shape (S,).
         """
         return np.bincount(self.ray, self.weight * values, self.rays).astype(np.float64)
 

@@ -38,9 +38,9 @@ class DrawnRays:
     """Rays in world space: R towards each of N Gaussians, one iteration's draw from `SampleRays`."""
 
     origins: FloatArray
-    """Camera positions, shape (N, R, 3)."""
+    """Camera positions of R rays towards each of N Gaussians, world space, shape (N, R, 3)."""
     directions: FloatArray
-    """Unit directions, shape (N, R, 3)."""
+    """Unit directions of R rays towards each of N Gaussians, world space, shape (N, R, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,17 +48,17 @@ class SampleRays:
     """Distributions of camera rays in world space: D directions towards each of N Gaussians, with probabilities."""
 
     gaussian: IntArray
-    """Index of each Gaussian in the scene, shape (N,)."""
+    """Index in the scene of each of N Gaussians, shape (N,)."""
     means: FloatArray
-    """Means of the Gaussians, shape (N, 3)."""
+    """Means of N Gaussians, world space, shape (N, 3)."""
     axes: FloatArray
-    """Axes of the Gaussians times their standard deviations, as columns, shape (N, 3, 3)."""
+    """Axes of N Gaussians times their standard deviations, as columns, world space, shape (N, 3, 3)."""
     directions: FloatArray
-    """Unit directions from the camera to the Gaussian, shape (N, D, 3)."""
+    """Unit directions from the camera to each of N Gaussians, D each, world space, shape (N, D, 3)."""
     distances: FloatArray
-    """Largest distance from which the Gaussian is visible along each direction, scene units, shape (N, D)."""
+    """Largest distance from which each of N Gaussians is visible along D directions, scene units, shape (N, D)."""
     cumulative: FloatArray
-    """Cumulative probability of the directions, ending at 1, shape (N, D)."""
+    """Cumulative probabilities of D directions towards each of N Gaussians, ending at 1, shape (N, D)."""
 
     @classmethod
     def allocated(cls, gaussians: int, directions_each: int) -> SampleRays:
@@ -135,9 +135,10 @@ class SampleRays:
         return DrawnRays(eyes.astype(np.float32), to_point.astype(np.float32))
 
     def _draws(self, number: int, count: int, seed: int) -> tuple[Doubles, Doubles]:
-        """Returns uniform random numbers, shape (N, 1 + R), and standard normal ones, (N, R, 3), for R rays each.
+        """Returns random numbers for R rays to each of N Gaussians: uniform (N, 1 + R), and normal (N, R, 3).
 
-        The first uniform number of a Gaussian is the same in all iterations.
+        The normal ones have mean 0 and variance 1. The first uniform number of a Gaussian is the same in all
+        iterations.
         """
         uniform, normal = np.empty((len(self.gaussian), 1 + count)), np.empty((len(self.gaussian), count, 3))
         for row, gaussian in enumerate(self.gaussian):
@@ -215,6 +216,6 @@ def view_weights(front: Flags, light: Doubles, distance: Doubles, *, has_front: 
 
 
 def weighted_means(weights: Doubles, values: Doubles) -> Doubles:
-    """Returns the weighted mean of each row, shape (N, D) to (N,); 0 where all weights are 0."""
+    """Returns the weighted mean of each of N rows of D values, shape (N, D) to (N,); 0 where all weights are 0."""
     total = weights.sum(axis=1)
     return np.divide((weights * values).sum(axis=1), total, out=np.zeros(len(total)), where=total > 0.0)

@@ -23,7 +23,7 @@ DEPTH_ISO_TRANSMITTANCE = 0.7
 # Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
 
 HITS_PER_PASS = 16
-"""Hits that a ray keeps sorted: k of 3DGRT; more would spill registers on GPUs."""
+"""Number of hits that a ray collects and sorts in one pass: k of 3DGRT; more would spill registers on GPUs."""
 
 # Projection to the image (EWA splatting, Zwicker et al. 2001)
 
@@ -42,7 +42,7 @@ class RasterStrategy(Enum):
 
 
 class Projection(Enum):
-    """Projection of a Gaussian by the rasteriser (docs/method/unscented.md)."""
+    """How the rasteriser projects a Gaussian (docs/method/unscented.md)."""
 
     EWA = "ewa"
     """Ellipse of a linearised pinhole projection (Zwicker et al. 2001): fast, and the one most captures are trained

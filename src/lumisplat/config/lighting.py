@@ -20,13 +20,15 @@ class Absorption(Enum):
     """
 
     SIMPLE = "simple"
-    """``tau``: wide Gaussians absorb more."""
+    """Optical depth ``tau = -ln(1 - opacity)`` per unit of length: wide Gaussians absorb more."""
     AVERAGE = "avg"
-    """``tau sqrt(tr(A) / 3) / sqrt(2 pi)``: about the splat's own opacity, whatever its size."""
+    """``tau sqrt(tr(A) / 3) / sqrt(2 pi)`` with ``tau = -ln(1 - opacity)`` and the precision matrix ``A``: about the
+    splat's own opacity, whatever its size."""
     MASS = "mass"
-    """``tau / ((2 pi)^(3/2) sqrt(det(covariance)))``: equal mass for all, so that small Gaussians are black."""
+    """``tau / ((2 pi)^(3/2) sqrt(det(covariance)))`` with ``tau = -ln(1 - opacity)``: equal mass for all, so that
+    small Gaussians are black."""
     DIAGONAL = "diag"
-    """``tau / ((2 pi)^(3/2) s_x s_y s_z)``: equals ``MASS``."""
+    """``tau / ((2 pi)^(3/2) s_x s_y s_z)`` with ``tau = -ln(1 - opacity)`` and the scales ``s``: equals ``MASS``."""
 
 
 class AtlasLayout(Enum):
@@ -69,7 +71,7 @@ class DeepShadowConfig:
     absorption: Absorption = Absorption.AVERAGE
     """Formula from a Gaussian's opacity to its absorption per length."""
     strength: Annotated[float, Range(0.0, 100.0)] = 1.0
-    """Factor kappa of the absorption."""
+    """Factor kappa that multiplies the absorption of all casters; 0 casts no shadows."""
     region: bool = True
     """Computes only the texels and bins that the receivers look up; otherwise the whole map."""
     region_radius: Length | None = None
@@ -77,11 +79,11 @@ class DeepShadowConfig:
     fits its texels to the others, so such a receiver is still shadowed where it looks up their texels. None: no limit.
     """
     culling: bool = True
-    """Lists for each tile the casters that its rays can hit; otherwise each ray tests all casters."""
+    """Lists the casters that the rays of each tile of the map can hit; otherwise each ray tests all casters."""
     sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO
-    """Points at which the map is read for a receiver."""
+    """Points of a Gaussian that receives shadow at which the map is read."""
     samples: Annotated[int, Range(1, 1024)] = 8
-    """Number of points at which the map is read for a receiver, with ``MONTE_CARLO``."""
+    """Number of random points per Gaussian that receives shadow at which ``MONTE_CARLO`` reads the map."""
     seed: Seed = 0
     """Seed of the points of ``MONTE_CARLO``."""
 
@@ -110,7 +112,7 @@ class RelightConfig:
     exponent: Annotated[float, Range(0.1, 64.0)] = 1.0
     """Exponent q of the cosine lobe about the normal that gathers light: 1 is matt, more is glossier."""
     scale_max: Annotated[float, Range(0.0, 1000.0)] = 4.0
-    """Largest factor t_max of a Gaussian's colour, before ``gamma``."""
+    """Upper bound t_max of the factor by which light multiplies a Gaussian's colour, before ``gamma``."""
     gamma: Annotated[float, Range(0.0, 1000.0)] = 1.0
     """Linear factor of all light. At 1, an environment of radiance 1 (display white) leaves colours unchanged."""
     normals: NormalEstimate = NormalEstimate.AUTO
@@ -157,13 +159,14 @@ class LightEstimationConfig:
     """
 
     radius: Length | None = None
-    """Distance from the character's centre beyond which Gaussians are ignored. None: 1.5 extents."""
+    """Distance from the character's centre beyond which Gaussians are ignored. None: 1.5 times the extent of the
+    scene."""
     viewpoint_distance: Length | None = None
     """Distance from the character's centre to four viewpoints around it, from which, as from the centre, the
-    brightness of Gaussians is evaluated. None: a tenth of the extent."""
+    brightness of Gaussians is evaluated. None: a tenth of the scene's extent."""
     emitter_size: Length | None = None
-    """Largest size of a compact emitter. Gaussians nearer to the character's centre than this are no lights. None: a
-    twelfth of the extent."""
+    """Largest size of an emitter that counts as compact. Gaussians nearer to the character's centre than this are no
+    lights. None: a twelfth of the scene's extent."""
     separation: Length | None = None
     """Smallest distance between two lights. None: three times ``emitter_size``."""
     compactness: Share = 0.5

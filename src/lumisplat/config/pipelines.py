@@ -71,7 +71,7 @@ class Pipeline(Enum):
 
     @property
     def bounces_light(self) -> bool:
-        """True if light bounces in all directions."""
+        """True if lit frames have indirect light that bounces off diffuse surfaces."""
         return self.integrator in (Integrator.PATH, Integrator.REALTIME)
 
     @property
@@ -87,7 +87,7 @@ _RESOLVED = {
     Pipeline.PATH: (Visibility.TRACED, Integrator.PATH),
     Pipeline.REALTIME: (Visibility.RASTERISED, Integrator.REALTIME),
 }
-"""Visibility and integrator of each pipeline, defined here alone."""
+"""Visibility and integrator of each pipeline, the only place that defines them."""
 
 READ_BY: dict[str, tuple[Pipeline, ...]] = {
     "raster": tuple(one for one in Pipeline if one.rasterises),

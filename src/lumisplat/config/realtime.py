@@ -41,7 +41,7 @@ _QUALITY_PRESETS: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
         "cache": {"tiles": 32_768, "cell_size": 1.0 / 16.0, "bounces": 16_384},
     },
 }
-"""Defaults that each quality changes: by quality, by name of the group (empty for ``RealtimeConfig`` itself), by
+"""Default values that each quality replaces: by quality, then group (empty for ``RealtimeConfig`` itself), then
 setting."""
 
 
@@ -111,10 +111,10 @@ class RadianceCacheConfig:
     """Rays over which a cell's indirect light is averaged. With fewer, light of many bounces arrives sooner; screen
     probes average the remaining noise."""
     samples_min: Annotated[int, Range(1, 1024)] = 8
-    """Samples below which a cell counts as noisy, and a mean over several cells is used."""
+    """Smallest number of samples from which a cell's own mean is used; with fewer, a mean over several cells is."""
     bounces: Annotated[int, Range(128, 2**20)] = 8192
-    """Rays that a frame traces from cells to find their indirect light: one a cell, or up to 16 if there are few
-    cells."""
+    """Number of rays per frame from cells of the cache, which find their indirect light: one per cell, or up to 16 if
+    there are few cells."""
     unused_frames: Annotated[int, Range(1, 10_000)] = 50
     """Number of frames after which a tile that no ray has hit is dropped from the cache."""
 
@@ -132,8 +132,9 @@ class RealtimeConfig:
     quality: RealtimeQuality = RealtimeQuality.BALANCED
     """Preset of the other real-time settings; it applies to those that still have their default value."""
     light_interval: Annotated[int, Range(1, 2)] = 1
-    """Frames in which each pixel gets one sample of direct and of indirect light. With 2, each frame samples half of
-    the blocks of 4 x 4 pixels. It is 1 where ``filter.passes`` is below 2, as newly visible surfaces would be black."""
+    """Number of frames in which each pixel gets one sample of direct and of indirect light. With 2, each frame samples
+    every other block of 4 x 4 pixels. Where ``filter.passes`` is below 2, 1 is used, as newly visible surfaces would be
+    black."""
     highlight_rays: bool = True
     """Traces a ray for every four pixels of narrow highlights; otherwise highlights show the blurred radiance of
     probes."""

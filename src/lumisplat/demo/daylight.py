@@ -65,7 +65,7 @@ def irradiance(
 
 
 def _sky(casters: _Floats, receivers: _Floats, normals: _Floats, light: Daylight) -> tuple[_Floats, _Floats]:
-    """Returns two arrays of shape (N,) for N receivers: sky light, and the unoccluded fraction of the sky.
+    """Returns the light from the sky at N receivers, and the fraction of the sky that each sees, shape (N,) each.
 
     Sky light is relative to that of a horizontal, unoccluded surface.
     """
@@ -134,7 +134,7 @@ def _spline(t: _Floats, tap: int) -> _Floats:
 
 
 def _dilate(depth: _Floats) -> _Floats:
-    """Replaces each texel by the maximum over the texel and its neighbours."""
+    """Returns the depth map with each texel replaced by the maximum over itself and its neighbours."""
     padded = np.pad(depth, 1, constant_values=-np.inf)
     tall = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
     return np.maximum(np.maximum(tall[:, :-2], tall[:, 1:-1]), tall[:, 2:])

@@ -200,7 +200,7 @@ def _moulding(outline: npt.NDArray[np.floating], radius: float) -> Mesh:
 
 
 def _panel(start: tuple[float, float, float], end: tuple[float, float, float], height: float) -> Mesh:
-    """Returns an upright rectangle of some height above its lower edge, from ``start`` to ``end``.
+    """Returns an upright rectangle between two points of its lower edge and ``height`` above it.
 
     Seen from the front, ``start`` is the lower left corner and ``end`` the lower right one.
     """
@@ -215,7 +215,7 @@ def _beam(size: tuple[float, float, float], centre: tuple[float, float, float]) 
 
 
 def _world_uvs(mesh: Mesh) -> Mesh:
-    """Returns texture coordinates computed from positions, repeated every 2 m, so that neighbouring panels match."""
+    """Returns the mesh with uvs from world positions, repeated every 2 m, so that neighbouring panels match."""
     along = mesh.positions[:, 0] + mesh.positions[:, 2]
     return replace(mesh, uvs=np.stack([0.5 * along, -0.5 * mesh.positions[:, 1]], axis=1))
 
@@ -295,7 +295,7 @@ def ammonite(rng: np.random.Generator) -> Mesh:
 
 
 def bench() -> Mesh:
-    """Returns a low block with plum lacquer at the right."""
+    """Returns a low lacquered block, plum red, at the right of the room."""
     return _placed_mesh(
         rounded_box((0.62, 0.30, 0.40), 0.03),
         _material("lacquer", (0.26, 0.045, 0.05), roughness=0.25),
@@ -304,7 +304,7 @@ def bench() -> Mesh:
 
 
 def fruit_bowl() -> list[Mesh]:
-    """Returns a celadon bowl of oranges on the block."""
+    """Returns a celadon bowl and its oranges, on the lacquered block."""
     profile = [(0.0, 0.022), (0.07, 0.026), (0.13, 0.065), (0.168, 0.115), (0.176, 0.118)]
     profile += [(0.174, 0.108), (0.138, 0.052), (0.080, 0.010), (0.062, 0.0), (0.0, 0.0)]
     bowl = lathe(smooth_profile(profile, segments=5), columns=96)

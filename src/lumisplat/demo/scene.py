@@ -41,7 +41,7 @@ _VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], 
     "niche": ((-0.20, 1.25, 0.75), (-0.66, 0.98, -1.75), 0.62),
     "above": ((0.25, 2.30, 2.45), (0.0, 0.25, -0.35), 0.66),
 }
-"""Name, eye, target and vertical field of view of each view."""
+"""Views of the demo: eye, target and vertical field of view in degrees, by name."""
 
 
 def demo_scene(progress: Callable[[str, float], None] | None = None) -> Scene:
@@ -111,7 +111,10 @@ def _captured_meshes(rng: np.random.Generator) -> list[tuple[Mesh, float]]:
 
 
 def _bake_daylight(capture: Gaussians, meshes: list[Mesh]) -> tuple[Gaussians, list[Mesh]]:
-    """Bakes the daylight into the capture and the meshes; they cast shadows on each other."""
+    """Lights the capture's albedo by daylight into its SH, and stores the daylight in the meshes' vertex colours.
+
+    Capture and meshes cast shadows on each other.
+    """
     # The wall with the window is thick: sunlight behind its inner side must not reach the woodwork inside of it.
     outside = capture.means[capture.means[:, 0] < demo_room.LEFT + 1e-3] - np.array([0.08, 0.0, 0.0], dtype=np.float32)
     casters = np.concatenate([capture.means, outside, *(_dense_points(mesh, 2.0 * DAYLIGHT.texel) for mesh in meshes)])
@@ -152,7 +155,8 @@ _POLISHED = {
     "brass": {"base_color": (0.95, 0.78, 0.42), "metallic": 1.0},
     "aquamarine": {"base_color": (0.75, 0.93, 1.0), "transmission": 1.0, "ior": 1.58},
 }
-"""New material settings, by mesh name, of the meshes that become a mirror and glass in the evening version."""
+"""Material settings by mesh name that turn the brass knot into a mirror and the jewel into glass, in the evening
+scene."""
 
 
 def demo_scene_lit(scene: Scene | None = None, progress: Callable[[str, float], None] | None = None) -> Scene:

@@ -72,7 +72,7 @@ def _grid_normals(
 
 
 def _close_seams(points: _Floats, *, rows: bool = False, columns: bool = False) -> _Floats:
-    """Copies the first row or column of a grid, shape (R, C, 3), to the last, so that rounding errors open no seam."""
+    """Copies the first of R rows or C columns of a grid, shape (R, C, 3), to the last, so that no seam opens."""
     if rows:
         points[-1] = points[0]
     if columns:

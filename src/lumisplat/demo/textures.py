@@ -37,7 +37,7 @@ def fractal_noise(
 
 
 def _interpolation(samples: int, cells: int) -> _Floats:
-    """Returns smoothstep weights of the cells of a periodic lattice at even samples, shape (samples, cells)."""
+    """Returns smoothstep weights of the cells of a periodic lattice at evenly spaced samples, (samples, cells)."""
     position = (np.arange(samples) + 0.5) / samples * cells
     cell = np.floor(position).astype(np.int64)
     t = position - cell
@@ -50,7 +50,7 @@ def _interpolation(samples: int, cells: int) -> _Floats:
 
 
 def blend(a: Rgb | _Floats, b: Rgb | _Floats, share: _Floats) -> _Floats:
-    """Mixes linear colours: ``a`` where ``share`` is 0, ``b`` where it is 1, shape (H, W, 3)."""
+    """Mixes two linear colours: ``(1 - share) a + share b``, shape (H, W, 3)."""
     share = np.clip(share, 0.0, 1.0)[..., None]
     return np.asarray(a) * (1.0 - share) + np.asarray(b) * share
 

@@ -122,7 +122,7 @@ def flip(
 
 
 _WEIGHTS = np.array((0.0448, 0.2856, 0.3001, 0.2363, 0.1333))
-"""Exponents of the scales, finest first (Wang et al. 2003, section 3.2)."""
+"""Exponents of the five scales of MS-SSIM, finest first (Wang et al. 2003, section 3.2)."""
 _C1, _C2 = 0.01**2, 0.03**2
 
 
@@ -183,7 +183,7 @@ def ms_ssim_scales(height: int, width: int) -> int:
 
 
 def _similarity(tested: Image, wanted: Image) -> tuple[Image, Image]:
-    """Returns luminance, and contrast times structure, of each window inside the images.
+    """Returns two maps of SSIM over the windows of 11 x 11 pixels: luminance, and contrast times structure.
 
     The equations are 1 to 6 of Wang et al. 2003.
     """
@@ -196,9 +196,9 @@ def _similarity(tested: Image, wanted: Image) -> tuple[Image, Image]:
 
 
 def _blurred(image: Image) -> Image:
-    """Returns Gaussian-weighted means over all windows inside an image.
+    """Returns Gaussian-weighted means of an image over all 11 x 11 windows that are inside of it.
 
-    Each side of the result is shorter than the image's by the window's size minus 1.
+    The result is 10 pixels shorter than the image in both directions.
     """
     offsets = np.arange(SSIM_WINDOW_PX) - SSIM_WINDOW_PX // 2
     bell = np.exp(-0.5 * (offsets / SSIM_SIGMA_PX) ** 2)
@@ -281,7 +281,7 @@ def check_window(metric: str, height: int, width: int) -> None:
 
 
 def region_means(values: Image, inside: Flags) -> Image:
-    """Returns the mean of each channel over windows whose centre is in a region, shape (3,).
+    """Returns the mean of each channel over the SSIM windows whose centre is in a region, shape (3,).
 
     Args:
         values: One value for each channel of each window, at the window's centre, shape (H, W, 3).

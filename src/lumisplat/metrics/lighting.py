@@ -37,15 +37,15 @@ TRIMMED_SHARE = 0.05
 """Fraction of the points, those with the largest residuals, that a fit leaves out (Mir et al. 2026, section 4.1)."""
 
 HUBER_WIDTH_MIN = 0.05
-"""Relative residual below which no point is an outlier, however well the others fit, because 8-bit colours are no more
-exact.
+"""Smallest width of the Huber loss, as a relative residual: 8-bit colours are no more exact, so smaller residuals
+never count as outliers.
 """
 
 FIT_STEPS_MAX = 100
-"""Maximum number of reweighting steps of a fit; about ten suffice to reach FIT_TOLERANCE."""
+"""Largest number of reweighting steps of the robust fit; about ten suffice to reach `FIT_TOLERANCE`."""
 
 FIT_TOLERANCE = 1e-9
-"""Change of the coefficients, relative to the largest one, at which a fit ends."""
+"""Change of the coefficients in a step, relative to the largest coefficient, at which the robust fit ends."""
 
 IRRADIANCE_SMOOTHNESS = 1e-3
 """Weight per sample of the penalty l (l + 1) c^2 on an SH coefficient c of degree l of irradiance. It keeps irradiance
@@ -55,8 +55,8 @@ smooth in directions without normals. With normals in all directions, the penalt
 the weight."""
 
 IRRADIANCE_FLOOR = 0.1
-"""Lower bound, as a fraction of the mean luminance, of the irradiance by which residuals are divided. Darker values
-are mostly noise and the camera's black level."""
+"""Lower bound of the irradiance by which residuals are divided, as a fraction of the mean luminance. Darker values are
+mostly noise and the camera's black level."""
 
 CHROMATICITY_SAMPLES_MAX = 2000
 """Largest number of Gaussians that NCM-ab uses on each side; of more, a random sample is used. Optimal transport
@@ -68,18 +68,20 @@ Lit = Gaussians | SplatInstance | Scene
 
 @frozen
 class LitPoints:
-    """N points on lit surfaces. Arrays become read-only float32; normals are normalised.
+    """N points on lit surfaces, with normals and colours, which lighting metrics compare.
+
+    Arrays become read-only float32; normals are normalised.
 
     Raises:
         SceneError: There is no point, shapes do not match, values are not finite, or a colour is negative.
     """
 
     positions: FloatArray = given(converter=to_floats)
-    """Positions in world space, metres, shape (N, 3)."""
+    """Positions of N points in world space, metres, shape (N, 3)."""
     normals: FloatArray = given(converter=to_floats)
-    """Unit normals, world space, shape (N, 3)."""
+    """Unit normals of N points, world space, shape (N, 3)."""
     rgb: FloatArray = given(converter=to_floats)
-    """Colours, linear Rec.709, white 1, at least 0, shape (N, 3)."""
+    """Colours of N points, linear Rec.709, white 1, at least 0, shape (N, 3)."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -130,7 +132,7 @@ class LitPoints:
 
     @property
     def luminance(self) -> npt.NDArray[np.float64]:
-        """CIE Y of each point's colour, linear, white 1, shape (N,)."""
+        """CIE Y of the colour of each of N points, linear, white 1, shape (N,)."""
         return luminance(self.rgb)
 
 
@@ -142,7 +144,7 @@ def check_radius(radius: object) -> float:
 
 
 class _Ball(NamedTuple):
-    """Ball around the avatar's centre, inside of which the scene is compared."""
+    """Ball around the avatar's centre; only Gaussians of the scene inside of it are compared with the avatar."""
 
     center: Doubles
     radius: float
@@ -177,7 +179,10 @@ def _instances(subject: object) -> Iterator[SplatInstance]:
 def _points(
     instance: SplatInstance, rows: npt.NDArray[np.bool_], ball: _Ball | None
 ) -> tuple[Doubles, npt.NDArray[np.floating], npt.NDArray[np.floating]]:
-    """Returns positions, normals and linear colours of the Gaussians of an instance that a mask selects."""
+    """Returns world-space positions, normals and linear colours of the Gaussians of an instance that ``rows`` selects.
+
+    With ``ball``, estimated normals point towards its centre.
+    """
     selected = instance.gaussians if rows.all() else instance.gaussians.subset(rows)
     positions = instance.world_means[rows]
     object_normals = selected.normals
@@ -308,7 +313,7 @@ def _sides(avatar: Points, scene: Points, radius: float) -> tuple[LitPoints, Lit
 
 
 def _draw(colors: FloatArray, count: int, seed: int) -> FloatArray:
-    """Returns all rows, or ``count`` of them drawn at random without replacement if there are more."""
+    """Returns ``count`` rows of ``colors``, drawn at random without replacement; all rows if there are no more."""
     if len(colors) <= count:
         return colors
     return colors[np.random.default_rng(seed).choice(len(colors), count, replace=False)]
@@ -316,7 +321,7 @@ def _draw(colors: FloatArray, count: int, seed: int) -> FloatArray:
 
 COEFFICIENTS = (IRRADIANCE_SH_DEGREE + 1) ** 2
 _DEGREES = np.repeat(np.arange(IRRADIANCE_SH_DEGREE + 1), 2 * np.arange(IRRADIANCE_SH_DEGREE + 1) + 1)
-"""Degree l of each SH coefficient."""
+"""Degree l of each of the 16 SH coefficients of irradiance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -327,10 +332,10 @@ class Irradiance:
     """SH coefficients c of irradiance, shape (16,). The basis functions are real, orthonormal, and in the order of
     captures. The absolute values of c sum to 1."""
     scales: Doubles
-    """Scale alpha of each point: its luminance over irradiance, at least 0, shape (N,)."""
+    """Scale alpha of each of N points: its luminance over irradiance, at least 0, shape (N,)."""
 
     def at(self, normals: npt.ArrayLike) -> Doubles:
-        """Evaluates the irradiance E for unit normals, shape (N, 3)."""
+        """Evaluates the irradiance E for N unit normals, shape (N, 3)."""
         return _basis(normals) @ self.coefficients
 
 
@@ -407,7 +412,7 @@ def robust_fit(
 def _huber_fit(
     design: Doubles, values: Doubles, ridge: Doubles, relative_above: float | None, start: Doubles
 ) -> Doubles:
-    """Runs iteratively reweighted least squares with Huber's weights."""
+    """Minimises Huber's loss plus a ridge penalty, by iteratively reweighted least squares from ``start``."""
     found = start
     smallest = FIT_TOLERANCE * max(float(np.abs(values).max()), np.finfo(np.float64).tiny)
     if relative_above is not None:
@@ -425,7 +430,10 @@ def _huber_fit(
 def _residuals(
     design: Doubles, values: Doubles, found: Doubles, relative_above: float | None
 ) -> tuple[Doubles, Doubles | float]:
-    """Returns absolute residuals, each divided by its unit, and the units."""
+    """Returns the absolute residuals of the fitted coefficients, ``|values - fitted| / unit``, and the unit.
+
+    The unit is the fitted value, at least ``relative_above``; 1 if that is None.
+    """
     fitted = design @ found
     unit = 1.0 if relative_above is None else np.maximum(fitted, relative_above)
     return np.abs(values - fitted) / unit, unit

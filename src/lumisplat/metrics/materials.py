@@ -13,11 +13,11 @@ BLACK = 0.0015
 """Linear value, 5 of 255 on a display, below which colours count as black and their ratios as meaningless."""
 
 LIT_SHARE = 0.02
-"""Fraction of a channel's weight that must not be black for the channel to get a scale. The median ratio of a few
-stray pixels would be meaningless."""
+"""Smallest fraction of the weight that is not black in a channel for `channel_scale` to scale the channel; with less,
+the median ratio would depend on a few stray pixels."""
 
 ENVIRONMENT_ROWS = 16
-"""Number of pixel rows at which environments are compared: 16, with 32 columns, as in R3DG."""
+"""Number of pixel rows to which environments are reduced for comparison: 16, with 32 columns, as in R3DG."""
 
 Channels = tuple[float, float, float]
 
@@ -46,7 +46,7 @@ def channel_scale(found: npt.ArrayLike, truth: npt.ArrayLike, weights: npt.Array
 
 
 def normal_errors(found: npt.ArrayLike, truth: npt.ArrayLike) -> Doubles:
-    """Returns angles between estimated and true normals, degrees, shape (N,); 90 for missing normals.
+    """Returns angles between N estimated and true normals, degrees, shape (N,); 90 for missing normals.
 
     Args:
         found: Estimated normals of any length, shape (N, 3); zero where none was estimated.

@@ -209,7 +209,7 @@ class TrainingRaster(_Backend):
         return FeatureChannels(self._launcher, self._buffers, self._unlit, self._backward)
 
     def add_largest_weights(self, largest: DeviceArray) -> None:
-        """Raises the largest blending weight of each Gaussian to its largest weight in the last frame.
+        """Sets ``largest`` to the maximum of itself and each Gaussian's largest blending weight in the last frame.
 
         Args:
             largest: Largest weight of each of N Gaussians in earlier frames, shape (N,); updated in place.

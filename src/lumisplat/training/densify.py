@@ -20,7 +20,8 @@ GROWTH = 1.05
 """Factor by which the number of Gaussians grows in one MCMC densification, up to the cap. gsplat's value."""
 
 RELOCATED_MAX = 51
-"""Largest number of Gaussians at one position in the relocation formula; larger numbers are clamped. gsplat's value."""
+"""Largest number of coinciding Gaussians that `relocation` distinguishes; larger numbers count as this one. gsplat's
+value."""
 
 SPLIT_SCALE = 0.01
 """Largest scale of a Gaussian, as a fraction of the camera extent, above which it is split instead of cloned. Kerbl et
@@ -53,13 +54,14 @@ class DensifyStats:
     iteration: int
     """Number of training iterations completed."""
     extent: float
-    """Scene extent derived from the cameras, scene units; see `SceneScale.extent`."""
+    """Extent of the cameras, scene units: 1.1 times their largest distance from their mean position."""
     screen_gradient: Doubles
-    """Mean screen-space position gradient of each Gaussian, shape (N,), in units of half the image size.
+    """Mean magnitude of the loss gradient with respect to a splat's image position, for N Gaussians, shape (N,).
 
-    The mean is over the frames since the last densification that drew the Gaussian."""
+    Positions are in units of half the image size. The mean is over the frames since the last densification that drew
+    the Gaussian."""
     normal_gradient: Doubles
-    """Mean magnitude of the loss gradient with respect to rotating each Gaussian's normal, shape (N,).
+    """Mean magnitude of the loss gradient with respect to rotating a Gaussian's normal, for N Gaussians, shape (N,).
 
     Only the surface terms of the loss count, summed over pixels. The mean is over the frames since the last
     densification that drew the Gaussian."""
@@ -165,7 +167,7 @@ def relocation(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE)
 
 
 def line_integral_ratio(degree: int, power: int) -> float:
-    """Divides the kernel's integral along a line through the mean by that of the kernel to the power ``power``."""
+    """Returns ``int k / int k^power`` of the kernel k of a degree, along a line through the Gaussian's mean."""
     return 0.5 * (power + 1.0) if degree == 0 else float(power ** (1.0 / degree))
 
 
@@ -194,7 +196,7 @@ def cloned_and_split(
 
 
 def pruned(parameters: TrainedParameters, extent: float) -> TrainedParameters:
-    """Removes nearly transparent Gaussians and those with a scale above `TOO_LARGE` times ``extent``."""
+    """Removes Gaussians with an opacity below `DEAD_OPACITY` or a scale above `TOO_LARGE` times ``extent``."""
     return parameters.rows(
         (parameters.opacities >= DEAD_OPACITY) & (parameters.scales.max(axis=1) <= TOO_LARGE * extent)
     )

@@ -33,7 +33,8 @@ class Exposures:
     """
 
     values: Doubles
-    """Colour matrix, followed by an added colour in the last column, of each image, shape (K, 3, 4)."""
+    """Affine exposures of K images, shape (K, 3, 4): a colour matrix each, and in the last column a colour that is
+    added."""
     adam: Adam
 
     @classmethod
@@ -116,9 +117,9 @@ class Poses:
     """
 
     values: Doubles
-    """Current ``camera_from_world`` of each image, shape (K, 4, 4)."""
+    """Current ``camera_from_world`` of each of K images, shape (K, 4, 4)."""
     initial: Doubles
-    """Initial ``camera_from_world`` of each image, shape (K, 4, 4)."""
+    """``camera_from_world`` of each of K images before training, shape (K, 4, 4)."""
     adam: Adam
     length: float
     """Distance from the cameras to their common target, scene units; a translation by it counts as much as a rotation

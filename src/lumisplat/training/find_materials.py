@@ -368,7 +368,7 @@ _SETTING_KEYS = {"environment_steps": "sky_steps"}
 """
 
 _MATERIAL_KEYS = {"albedo": "albedo", "roughness": "roughness", "normals": "normals", "environment": "sky"}
-"""Name of each `Materials` field's array in the state file."""
+"""Key in the state file of each array of `Materials`, by its field."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -385,7 +385,7 @@ class SearchState:
     """Optimised materials and environment with their Adam moments, by name, as `MaterialFit.state`; empty before the
     first iteration."""
     errors: tuple[float, ...] = ()
-    """L1 errors of the latest iterations, at most one per image."""
+    """Mean absolute errors (L1) of the latest iterations of the material search, at most one per image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,7 +428,7 @@ class MaterialFiles:
         return self.folder / "light.npz"
 
     def write(self, found: SearchState) -> None:
-        """Writes the state of the search.
+        """Writes the state of the material search to its file.
 
         Raises:
             FormatError: The file cannot be written.
@@ -440,7 +440,7 @@ class MaterialFiles:
         write_state(self._state_path, arrays, about)
 
     def read(self) -> SearchState | None:
-        """Returns the stored state of the search; None if the file is missing, damaged or of another search."""
+        """Returns the stored state of a material search; None if the file is missing, damaged or of another search."""
         content = self._read(self._state_path)
         if content is None:
             return None

@@ -38,11 +38,11 @@ class Materials:
     """Materials of N Gaussians and the environment that lights them."""
 
     albedo: Doubles
-    """Linear diffuse albedo, 0..1, shape (N, 3)."""
+    """Linear diffuse albedo of N Gaussians, 0..1, shape (N, 3)."""
     roughness: Doubles
-    """Perceptual roughness, above 0, at most 1, shape (N,)."""
+    """Perceptual roughness of N Gaussians, above 0, at most 1, shape (N,)."""
     normals: Doubles
-    """Unit normals in world space, shape (N, 3)."""
+    """Unit normals of N Gaussians in world space, shape (N, 3)."""
     environment: Doubles
     """Radiance of the environment in K evenly spread directions, linear, in units of display white, shape (K, 3)."""
 
@@ -122,7 +122,7 @@ class LitGaussians:
 
     @property
     def radiance(self) -> Doubles:
-        """Linear radiance of each Gaussian from the last call of ``shade``, shape (N, 3)."""
+        """Linear radiance of each of N Gaussians towards the eye point of the last call of ``shade``, shape (N, 3)."""
         return np.array(self._radiance.numpy(), np.float64)
 
     def _vectors(self, name: str, values: Doubles | FloatArray) -> DeviceArray:
@@ -138,15 +138,17 @@ class IncidentRadiance:
     """Radiance that arrives at N Gaussians from K evenly spread directions: environment and other Gaussians."""
 
     directions: Doubles
-    """Unit directions towards the light, shape (K, 3)."""
+    """Unit directions, K in number, from Gaussians towards the light that arrives at them, world space, shape (K, 3).
+    """
     open: FloatArray
-    """Transmittance from each Gaussian to the environment, 0..1, shape (N, K)."""
+    """Transmittance from each of N Gaussians to the environment in K directions, 0..1, shape (N, K)."""
     seen: FloatArray
-    """Captured radiance that arrives from blocking Gaussians, linear, in units of display white, shape (N, K, 3)."""
+    """Captured radiance that arrives at N Gaussians from blocking Gaussians in K directions, linear, in units of
+    display white, shape (N, K, 3)."""
 
     @property
     def solid_angle(self) -> float:
-        """Solid angle of each direction, steradians."""
+        """Solid angle that each of the K evenly spread directions represents: 4 pi / K steradians."""
         return 4.0 * np.pi / len(self.directions)
 
     def irradiance(self, normals: Doubles) -> Irradiance:
@@ -167,7 +169,7 @@ class IncidentRadiance:
 def traced_incident(
     gaussians: Gaussians, normals: Doubles, directions: Doubles, renderer: Renderer, *, seed: int, report: Progress
 ) -> IncidentRadiance:
-    """Traces one ray from each Gaussian in each of K directions above its horizon.
+    """Traces one ray from each of N Gaussians in each of K directions above its horizon.
 
     Rays are jittered within the solid angle of their direction. Where half of that solid angle is blocked, about half
     of the Gaussians' rays therefore reach the environment. Rays start above the Gaussian, at a height given by its
@@ -200,7 +202,7 @@ def traced_incident(
 
 
 def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Returns a ray origin above each Gaussian, high enough that the Gaussian does not block its rays, shape (N, 3)."""
+    """Returns a ray origin above each of N Gaussians, so high that it does not block its own rays, shape (N, 3)."""
     scales = np.sort(gaussians.scales.astype(np.float64), axis=1)
     lift = np.maximum(LIFT_SHORTEST * scales[:, 0], LIFT_ALONG * scales[:, 1])
     return gaussians.means + lift[:, None] * normals

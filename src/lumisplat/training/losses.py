@@ -191,10 +191,10 @@ class SurfaceLoss:
         weight_sum: float,
         gradient: PixelGradient,
     ) -> SurfaceMaps:
-        """Evaluates the surface terms of a frame and their gradients.
+        """Evaluates the depth, normal and smoothness terms of a frame, and their gradients.
 
-        The gradient with respect to alpha is added to ``gradient``; that with respect to features is stored for
-        ``backward``.
+        The gradient with respect to alpha is added to ``gradient``; that with respect to the blended depths and normals
+        is stored for ``backward``.
 
         Args:
             scene: Device scene of the frame, with one Gaussian set in world space.

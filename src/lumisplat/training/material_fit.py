@@ -36,7 +36,7 @@ from lumisplat.training.trainer import frame_settings
 from lumisplat.training.views import TrainingView
 
 LOGIT_MAX = 16.0
-"""Largest magnitude of opacity logits; opacities of 0 and 1 would have infinite ones."""
+"""Largest magnitude of opacity logits: those of opacities 0 and 1, which would be infinite, are clamped to it."""
 
 
 class ColoredGaussians:
@@ -73,7 +73,7 @@ class ColoredGaussians:
 
     @property
     def sh(self) -> DeviceArray:
-        """Colours to draw, as SH coefficients of degree 0, ``wp.vec3``, shape (N,)."""
+        """Display colours of N Gaussians that ``draw`` shows: SH coefficients of degree 0, ``wp.vec3``, shape (N,)."""
         return device_array(self._drawn.values.sh)
 
     @property
@@ -136,7 +136,7 @@ EDGE_WIDTH = 0.3
 """Difference of log albedo above which the Cauchy loss treats a pair of Gaussians as lying across a texture edge."""
 
 ROUGHNESS_MIN = 0.1
-"""Smallest roughness that the fit can return."""
+"""Smallest roughness that the material fit gives a Gaussian."""
 
 NEIGHBOURS = 6
 """Number of nearest Gaussians whose albedo and roughness the smoothness terms compare with those of each Gaussian."""
@@ -330,8 +330,8 @@ def fit_environment(
     same, so the scale is chosen such that the lightest surfaces have a typical albedo.
 
     Args:
-        outgoing: Radiance of the Gaussians, shape (N, 3).
-        white: Irradiance of the Gaussians.
+        outgoing: Captured radiance of N Gaussians, linear, shape (N, 3).
+        white: Irradiance over pi of the Gaussians: the radiance of white surfaces in their place.
         weights: Sampling weight of each Gaussian in the pairs, shape (N,).
         directions: Directions of the environment, shape (K, 3).
         steps: Number of optimiser steps.
@@ -393,8 +393,8 @@ HEIGHT, WIDTH = 16, 32
 def environment_image(directions: Doubles, environment: Doubles) -> FloatArray:
     """Returns the environment as image of a `LightEnvironment`, shape (16, 32, 3).
 
-    Each pixel is a Gaussian-weighted mean over the directions around it. The Gaussian's width is half the angle between
-    neighbouring directions.
+    Each pixel is a Gaussian-weighted mean over the K directions around it. The Gaussian's width is half the angle
+    between neighbouring directions.
 
     Args:
         directions: Evenly spread unit vectors, shape (K, 3).
@@ -412,11 +412,11 @@ class SimilarPairs:
     """P pairs of Gaussians whose materials should be similar, so that differences within a pair are penalised."""
 
     first: Rows
-    """Index of the first Gaussian of each pair, shape (P,); ``second`` holds that of the second."""
+    """Index of the first Gaussian of each of P pairs, shape (P,); ``second`` holds that of the second."""
     second: Rows
 
     def albedo_term(self, log_albedo: Doubles) -> tuple[float, Doubles]:
-        """Returns the penalty on albedo differences, and its gradient with respect to log albedo, shape (N, 3).
+        """Returns the penalty on albedo differences within pairs, and its gradient by N log albedos, shape (N, 3).
 
         A pair whose log albedos differ by ``d`` costs ``w^2 log(1 + (d / w)^2) / 2``, w being `EDGE_WIDTH`, so that
         texture edges count little. The cost is weighted by the pair's similarity of chromaticity, which is held fixed.

@@ -60,12 +60,12 @@ class TrainedParameters:
 
     @property
     def opacities(self) -> npt.NDArray[np.float64]:
-        """Opacity of each Gaussian, 0..1, shape (N,)."""
+        """Opacity of each of N Gaussians, 0..1, shape (N,)."""
         return 1.0 / (1.0 + np.exp(-self.values["logits"].astype(np.float64)))
 
     @property
     def scales(self) -> npt.NDArray[np.float64]:
-        """Standard deviations along the axes of each Gaussian, shape (N, 3)."""
+        """Standard deviations along the axes of each of N Gaussians, shape (N, 3)."""
         return np.exp(self.values["log_scales"].astype(np.float64))
 
     def rows(self, rows: Rows) -> TrainedParameters:

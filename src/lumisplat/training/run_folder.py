@@ -387,7 +387,8 @@ _log = logging.getLogger("lumisplat")
 VERSION = 6
 _PARTS = ("values", "first", "second")
 RECORD = ("motion", "turns", "frames")
-"""Names of the arrays of a `SplatRecord`, the densification statistics."""
+"""Names of the arrays of a `SplatRecord`: sums of image-position and of normal gradients, and the frames summed over.
+"""
 _PER_IMAGE = "photographs."
 _MAY_CHANGE = ("iterations", "prune_below")
 """Settings that may have other values when a training resumes; all others must equal those of the checkpoint."""

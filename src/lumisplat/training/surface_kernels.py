@@ -37,7 +37,7 @@ AREA_MIN = wp.constant(wp.float32(1e-30))
 
 @wp.func
 def depth_of(view: CameraData, terms: SurfaceTerms, point: wp.vec3) -> float:
-    """Returns the depth feature of a point: its view depth from the middle of the scene, in scene extents."""
+    """Returns the depth of a point in the surface terms: (view depth - that of the scene's middle) / extent."""
     forward = wp.vec3(view.world_from_camera[0, 2], view.world_from_camera[1, 2], view.world_from_camera[2, 2])
     return (wp.dot(forward, point - view.eye) - terms.middle) * terms.per_unit
 

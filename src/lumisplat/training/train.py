@@ -328,5 +328,5 @@ def _oriented(gaussians: Gaussians, cameras: Sequence[Camera]) -> Gaussians:
 
 
 def is_evaluated(step: int) -> bool:
-    """Returns whether the held-out images are evaluated after iteration ``step``, if it is not the last."""
+    """Returns whether the held-out images are evaluated after iteration ``step``, which is not the last one."""
     return step in EVALUATE_AT or step % EVALUATE_EVERY == 0

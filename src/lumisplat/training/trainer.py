@@ -145,7 +145,7 @@ class Trainer:
         return self._count
 
     def gaussians(self) -> Gaussians:
-        """Returns the current Gaussians."""
+        """Returns the current Gaussians as a capture, in the coordinates of the views."""
         return self._parameters().gaussians(self.config)
 
     def largest_weights(self) -> FloatArray:
@@ -160,13 +160,13 @@ class Trainer:
 
     @property
     def checkpoint(self) -> Checkpoint:
-        """State from which the training can resume."""
+        """Returns the state of the training: parameters, Adam moments, statistics, exposures, poses and iteration."""
         record = {name: np.array(device_array(getattr(self._record, name)).numpy()) for name in RECORD}
         per_image = {name: values for correction in self._corrections for name, values in correction.state.items()}
         return Checkpoint(self.iteration, self._parameters(), record, per_image)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Resumes from a checkpoint."""
+        """Continues from the state that ``checkpoint`` returned."""
         self._upload(checkpoint.parameters)
         for name, values in checkpoint.record.items():
             device_array(getattr(self._record, name)).assign(values)
