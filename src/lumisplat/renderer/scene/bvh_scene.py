@@ -84,7 +84,7 @@ class BvhScene:
         """Number of stack entries that CUDA kernels need to traverse the BVHs: `TRAVERSE_STACK_SMALL` if that
         suffices, else `TRAVERSE_STACK`."""
         self.extent = 0.0
-        """Largest, over all instances, of the diagonal of a box around nearly all means of the instance, world space."""
+        """Largest diagonal, among all instances, of a box around nearly all means of an instance, world space."""
         self.packet_radius = 0.0
         """Largest distance of a ray's origin from its packet's first ray, world space; rays farther away are traced
         separately."""
