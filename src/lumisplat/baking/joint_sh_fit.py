@@ -325,16 +325,12 @@ class JointShFit:
         return begins, ends, base
 
     def _displayed(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
-<<<<<<< HEAD
-        """Tone-maps radiance ``light`` of rays to display-referred colours; also returns the mean noise variance."""
-=======
         """Tone-maps the radiance of rays to display-referred colours, and returns the mean variance of their noise.
 
         Args:
             light: Linear radiance of the rays, from even and from odd samples, shape (2, P, 3).
             share: Alpha of the rays, by which the colours are multiplied.
         """
->>>>>>> ac8b763d (Name shape letters, units and the other branch in more docstrings)
 
         def displayed(light: Doubles) -> Doubles:
             nothing = np.zeros_like(light)
