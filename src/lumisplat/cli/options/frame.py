@@ -369,7 +369,8 @@ def _unlit_captures(config: ls.RenderConfig, scene: ls.Scene, *, has_actors: boo
     has_albedo = any(one.gaussians.albedo is not None for one in unlit)
     if config.lighting is False or not unlit or not any(light.enabled for light in scene.lights):
         return
-    if has_albedo or (len(unlit) == len(scene.splats) and not has_actors):
+    has_catcher = any(instance.shadow_catcher for instance in scene.meshes)
+    if has_albedo or (len(unlit) == len(scene.splats) and not has_actors and not has_catcher):
         catch = "; --shadow-catcher shows the shadows of meshes on them" if scene.meshes and not has_actors else ""
         yield (
             "captures without a material stay as captured: material = {} of their [[splats]] in a scene.toml relights "
