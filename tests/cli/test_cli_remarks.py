@@ -70,7 +70,7 @@ def test_render_logs_that_lights_do_not_change_captures_without_a_material() -> 
     (line,) = remarks(ls.Scene([plain], [WALL], [SKY]))
     assert line.endswith("--shadow-catcher shows the shadows of meshes on them")
     assert remarks(ls.Scene([plain], [WALL])) == remarks(ls.Scene([plain], [], [SKY]), lighting=False) == []
-    assert remarks(ls.Scene([plain], [replace(WALL, shadow_catcher=True)], [SKY])) == []
+    assert remarks(ls.Scene([plain], [ls.MeshInstance(WALL, shadow_catcher=True)], [SKY])) == []
     for other in (KEPT, RELIT):
         assert remarks(ls.Scene([plain, other], [], [SKY])) == []
     for has_actors, count in ((False, 1), (True, 0)):
