@@ -74,10 +74,10 @@ _GROUPS: dict[str, dict[str, type[Any]]] = {
         "completion": Completion,
     },
 }
-"""Classes of the commands by name, in the groups of ``lumisplat --help``."""
+"""Command class by command name, in the groups that ``lumisplat --help`` lists."""
 
 _RENAMED_COMMANDS = {"frames": "extract-frames"}
-"""Present name of each renamed command, by its former name."""
+"""Current name of each command that was renamed, by its former name; only error messages use it."""
 
 _Command: Any = Union[  # noqa: UP007, as the members are computed
     tuple(Annotated[kind, subcommand(name)] for kinds in _GROUPS.values() for name, kind in kinds.items())
@@ -85,7 +85,7 @@ _Command: Any = Union[  # noqa: UP007, as the members are computed
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Runs one command.
+    """Runs one command of ``lumisplat`` and returns the exit status of the process.
 
     Args:
         args: Arguments after the program's name; None takes those of the process.
@@ -143,7 +143,7 @@ def _help() -> str:
 
 
 def _arguments(args: Sequence[str]) -> tuple[list[str], str]:
-    """Returns the arguments in the form that tyro parses, and the command as typed, such as ``lumisplat farm render``.
+    """Returns arguments in the form that tyro parses, and the command for messages, such as ``lumisplat farm render``.
 
     Several numbers of one option are joined to one argument, and a command's files are moved next to each other.
 

@@ -1,1 +1,1 @@
-"""Commands, one per file: a dataclass whose fields are the options, with a method `run`."""
+"""The commands of ``lumisplat``, one module each: a dataclass whose fields are the options, with a method `run`."""

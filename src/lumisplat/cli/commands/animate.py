@@ -66,7 +66,7 @@ class Animate(FrameCommand):
         print(lines)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, loads the scene, and returns the frames as a job.
+        """Checks options and files, loads the scene, and returns the frames with functions that make them.
 
         Args:
             report: Receives the progress.
@@ -102,7 +102,7 @@ class Animate(FrameCommand):
         return FrameJob(frames=frames, render=maker.render, write=maker.write, summarise=summarise)
 
     def _animation(self, environment: ls.LightEnvironment | None, report: Report) -> ls.Animation:
-        """Loads the animation of the scene file, and applies the options to its light, up direction and frame rate."""
+        """Loads the animation of the scene file; options change its environment, up direction, actor light and rate."""
         report(f"loading {self.scene.name}", 0.0)
         animation = ls.load_animation(
             self.scene,
@@ -116,7 +116,7 @@ class Animate(FrameCommand):
         return animation if self.fps is None else _at_rate(animation, self.fps)
 
     def _cameras(self, animation: ls.Animation) -> list[ls.Camera]:
-        """Returns the camera of each frame."""
+        """Returns a camera for each frame: of ``--camera-path``, a camera file, the scene file or viewpoint options."""
         count, source = animation.frame_count, self.cameras or self.scene
         cameras = self.load_cameras(self.cameras, self.scene)
         if self.camera is not None:
@@ -142,7 +142,10 @@ class Animate(FrameCommand):
     def _provenance(
         self, animation: ls.Animation, config: ls.RenderConfig, device: str, folder: Path
     ) -> dict[str, str]:
-        """Returns the values that determine all frames, by name: version, device, settings, fingerprints of files."""
+        """Returns everything that the frames depend on, as text by name: version, device, settings, file fingerprints.
+
+        A later run continues with existing frames only if these values are equal.
+        """
         files = [
             self.scene,
             *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
@@ -174,19 +177,19 @@ def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
 _log = logging.getLogger("lumisplat")
 
 _SURROUNDED_STOPS = 1.4
-"""Gain, in stops, from `estimate_capture_gain` up to which captures count as surrounding the actors. This is the gain
-where captures cover three quarters of all directions."""
+"""Result of `estimate_capture_gain`, in stops, up to which captures count as surrounding the actors, so that no gain
+is added. It results where captures cover three quarters of all directions."""
 
 
 class _AnimationFrames:
-    """Renders frames of an animation to files.
+    """Renders and writes the frames of an animation.
 
     Args:
         animation: Scene, actors and their lighting.
         cameras: Camera of each frame.
         source: Renders the frames.
         folder: Folder of the frames.
-        remarks: Returns log lines about the settings; called once, with the scene of the first rendered frame.
+        remarks: Returns warnings about the settings; called once, with the scene of the first rendered frame.
     """
 
     def __init__(
@@ -205,7 +208,7 @@ class _AnimationFrames:
         self._seconds = {"lighting": 0.0, "rendering": 0.0, "writing": 0.0}
 
     def render(self, index: int, report: Report) -> ls.Frame:
-        """Lights the actors at a frame's time and renders the frame."""
+        """Lights the actors at the time of a frame number, and renders the frame."""
         is_first = self._last is None
         if is_first and self._animation.scene.splats and self._animation.actors:
             self._start_lighter(report)
@@ -235,7 +238,10 @@ class _AnimationFrames:
         print_stats(frame, self._source.renderer.config.pipeline)
 
     def _start_lighter(self, report: Report) -> None:
-        """Creates the actors' lighter and estimates lights at frame 0; without lights, disables the actors' shadows."""
+        """Creates the object that lights the actors by the captures, and estimates the scene's lights at frame 0.
+
+        If no light can be estimated, actors cast no shadows, which is logged.
+        """
         self._lighter = ls.AvatarLighter(
             self._animation.scene,
             config=self._exposed_lighting(),
@@ -252,9 +258,9 @@ class _AnimationFrames:
             self._lighter.config = replace(self._lighter.config, shadows=False)
 
     def _exposed_lighting(self) -> ls.config.AvatarLightingConfig:
-        """Returns the lighting settings, with a gamma that compensates for captures that do not surround the actors.
+        """Returns the actor lighting, brightened if captures, the only light, do not surround the actors.
 
-        The gamma is added only if none is given, and captures are the only light.
+        Sets ``transfer.gamma`` to the estimated gain, unless the user has changed that setting; a warning says so.
         """
         config, scene = self._animation.lighting, self._animation.scene
         start = float(self._animation.times[0])
@@ -273,7 +279,7 @@ class _AnimationFrames:
         return replace(config, transfer=replace(config.transfer, gamma=2.0**stops))
 
     def _lit_scene(self, index: int) -> ls.Scene:
-        """Returns the scene at a frame's time, with actors that are lit and cast shadows."""
+        """Returns the scene at the time of a frame number, with actors lit by captures and casting shadows on them."""
         animation, now = self._animation, float(self._animation.times[index])
         placed = [(instance, actor) for actor in animation.actors for instance in actor.at(now)]
         instances = [instance for instance, _ in placed]
@@ -286,7 +292,10 @@ class _AnimationFrames:
         )
 
     def _without_lit_albedos(self, scene: ls.Scene) -> ls.Scene:
-        """Returns the scene without albedos of actors that the lighter lights: for remarks, they need no material."""
+        """Returns the scene without the albedos of actors, so that no warning asks for a material to relight them.
+
+        Actors are lit without a material; without a lighter, returns the scene unchanged.
+        """
         if self._lighter is None:
             return scene
         count = len(self._animation.scene.splats)
@@ -294,14 +303,14 @@ class _AnimationFrames:
         return replace(scene, splats=(*scene.splats[:count], *lit))
 
     def _light_remarks(self) -> Iterable[str]:
-        """Yields a log line about the estimated lights of the first frame."""
+        """Yields a log line about the lights that were estimated at frame 0; none if the scene has lights itself."""
         found = found_light(self._lighter) if self._lighter is not None else None
         if found is not None:
             yield f"no lights are given; shadows use those that were found: {found}"
 
     @contextmanager
     def _timed(self, name: str) -> Generator[None]:
-        """Adds the duration of the ``with`` block to the total seconds of the stage ``name``."""
+        """Context that adds its duration to the total seconds of a stage, such as ``rendering``."""
         begun = time.perf_counter()
         try:
             yield
@@ -310,7 +319,15 @@ class _AnimationFrames:
 
 
 def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance], device: str) -> float:
-    """Returns how many stops too dark captured light is at the actors; 0 if the scene shows no capture as captured."""
+    """Returns the gain, in stops, that makes up for directions around the actors in which there is no capture.
+
+    Returns 0 if the scene shows no capture as captured.
+
+    Args:
+        scene: The scene; its unlit captures light the actors.
+        actors: Instances of the actors; the gain is estimated at their centre.
+        device: Device that renders.
+    """
     around = ls.Scene(splats=tuple(one for one in scene.splats if one.material is None or one.shadow_catcher))
     if not around.splats:
         return 0.0
@@ -320,7 +337,7 @@ def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshIn
 
 
 def with_actors(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance]) -> ls.Scene:
-    """Returns the scene with actors added, as their files colour them: not relit, and without shadows on captures."""
+    """Returns the scene with actors in the colours of their files: not lit, and casting no shadows on captures."""
     splats = [actor for actor in actors if isinstance(actor, ls.SplatInstance)]
     meshes = [actor for actor in actors if isinstance(actor, ls.MeshInstance)]
     return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))

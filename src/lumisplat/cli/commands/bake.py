@@ -93,7 +93,7 @@ class Bake(InsertingCommand, DeviceCommand, SetCommand):
             print(f"{counted(len(scene.meshes), 'mesh instance')} cast shadows and light, but are not in the result")
 
     def _config(self) -> ls.RenderConfig:
-        """Returns the settings of the scene.toml, changed by the command's options."""
+        """Returns the render settings of the scene.toml, or the defaults, changed by the command's options."""
         if self.direct and "max_bounces" in self.set_values():
             raise ls.ConfigError("--direct has no bounces for --set max_bounces to count: leave out one of them")
         base = scene_settings(scene_file(self.scene))
@@ -103,20 +103,23 @@ class Bake(InsertingCommand, DeviceCommand, SetCommand):
 
 
 def _with_material(instance: ls.SplatInstance) -> ls.SplatInstance:
-    """Returns a capture instance with a default material if its file stores an albedo but the scene has no material."""
+    """Returns a capture instance with a default material if its file stores an albedo, so that lights affect it.
+
+    An instance with a material, and a shadow catcher, is returned unchanged.
+    """
     if instance.material is None and not instance.shadow_catcher and instance.gaussians.albedo is not None:
         return replace(instance, material=ls.MaterialPbr())
     return instance
 
 
 def _joined(scene: ls.Scene) -> ls.Gaussians:
-    """Returns the Gaussians of all captures of a scene as one set, in world coordinates."""
+    """Returns the Gaussians of all captures of a scene as one capture in world coordinates."""
     placed = [_placed(instance) for instance in scene.splats]
     return placed[0] if len(placed) == 1 else ls.merge(placed)
 
 
 def _placed(instance: ls.SplatInstance) -> ls.Gaussians:
-    """Returns the Gaussians of a capture instance in world coordinates, with at most the instance's SH degree."""
+    """Returns an instance's Gaussians in world coordinates, their SH reduced to the instance's degree."""
     gaussians = ls.editing.limit_sh_degree(instance.gaussians, instance.sh_degree)
     matrix = instance.transform
     return gaussians if (matrix == ls.SplatInstance(gaussians).transform).all() else ls.transform(gaussians, matrix)

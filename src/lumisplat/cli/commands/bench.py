@@ -39,14 +39,14 @@ _log = logging.getLogger("lumisplat")
 
 @dataclass(frozen=True)
 class _SteadyFrames:
-    """Times of all frames after the first, in milliseconds, and of the stages of these frames."""
+    """Times, in milliseconds, of the frames after the first, as wholes and by render stage."""
 
     last: ls.Frame
     frame_ms: list[float]
     stage_ms: list[dict[str, float]]
 
     def stage_medians(self) -> dict[str, float]:
-        """Returns the median time of each stage, milliseconds."""
+        """Returns the median over the frames of the time of each stage, milliseconds."""
         return {name: statistics.median(row[name] for row in self.stage_ms) for name in self.stage_ms[0]}
 
 
@@ -71,7 +71,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     """Set the camera in place of the cameras of the files."""
 
     def run(self) -> None:
-        """Times the scene and prints a table."""
+        """Times loading and frames of the scene, and prints a table."""
         if self.repeats < 1:
             raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
         self.viewpoint.check(self.cameras)
@@ -133,7 +133,10 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     def _profiled_stages(
         self, report: Report, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera
     ) -> dict[str, float]:
-        """Returns the stage times of a frame with profiling, which GPUs need and which waits after each stage."""
+        """Returns the stage times of one frame, milliseconds, from a renderer with profiling.
+
+        GPUs need profiling for stage times. It waits after each stage, so the whole frame is slower than without.
+        """
         renderer = self.start_renderer(report, config, profile=True)
         renderer.render(scene, camera)
         return stage_times(renderer.render(scene, camera))
@@ -145,7 +148,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
 
 
 def _peak_bytes() -> int | None:
-    """Returns the peak resident memory of the process in bytes; None on Windows, which does not report it."""
+    """Returns the peak resident memory of this process, bytes; None on Windows, which does not report it."""
     status = Path("/proc/self/status")
     if status.exists():  # ru_maxrss would include the parent process
         found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())

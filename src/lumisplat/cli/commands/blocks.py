@@ -1,4 +1,4 @@
-"""``lumisplat blocks``: writes captures larger than memory as a folder of blocks; views load only visible blocks."""
+"""``lumisplat blocks``: writes captures larger than memory as a folder of spatial blocks that load separately."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from lumisplat.cli.options.command import Flag, LoadingCommand, own_options_firs
 from lumisplat.cli.output.console import Report, byte_size, counted, print_columns, progress_bars
 
 _SIZE_OF_LEVELS = 1.34
-"""Size of all levels of detail relative to the finest: each level has a quarter of the Gaussians of the next finer
-one."""
+"""Disk space of all levels of detail relative to the finest: 1 + 1/4 + 1/16 + ..., as each level has a quarter of the
+Gaussians of the next finer one."""
 
 
 @own_options_first
@@ -71,7 +71,7 @@ class Blocks(LoadingCommand):
         )
 
     def _checked_output(self) -> Path:
-        """Returns the folder to write, after checking the options."""
+        """Returns the folder of ``-o``, after checking that it is given and new and that other options are valid."""
         if not self.files:
             raise ls.ConfigError("no file given: lumisplat blocks IN.ply -o FOLDER")
         if self.output is None:
@@ -89,7 +89,7 @@ class Blocks(LoadingCommand):
         return self.output
 
     def _opened(self, path: Path, report: Report) -> ls.io.PlyStream | ls.Gaussians:
-        """Opens a capture: as a stream that is read piece by piece if its format allows, else loads it."""
+        """Opens a capture: a .ply as a stream that is read piece by piece; other formats are loaded whole."""
         if ls.io.can_stream(path):
             return ls.io.stream_ply(
                 path, drop_invalid=self.drop_invalid, progress=partial(report, f"reading {path.name}")
@@ -146,7 +146,7 @@ class Blocks(LoadingCommand):
 
 
 def _pieces(parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaussians]:
-    """Yields the Gaussians of all captures, piece by piece."""
+    """Yields the Gaussians of all captures in pieces that fit into memory."""
     for part in parts:
         if isinstance(part, ls.Gaussians):
             yield part
@@ -155,7 +155,10 @@ def _pieces(parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> Iterator[ls.Gaus
 
 
 def _cell(part: ls.io.PlyStream | ls.Gaussians) -> float:
-    """Returns the default edge length of blocks for a capture, in scene units."""
+    """Returns the default edge length of the cubes into which a capture is cut, scene units.
+
+    A capture that is loaded whole stays one cube: the length is its longest side.
+    """
     if isinstance(part, ls.io.PlyStream):
         return part.cell()
     low, high = part.bounds()

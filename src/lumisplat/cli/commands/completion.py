@@ -29,7 +29,7 @@ complete -o bashdefault -o default -F _lumisplat lumisplat
 complete --command lumisplat --force-files
 """,
 }
-"""Shell code by shell, appended to tyro's completion script: completes file names where no option or value matches."""
+"""Shell code for each shell that completes file names where no option or value matches; printed after tyro's script."""
 
 
 @own_options_first
@@ -48,5 +48,5 @@ class Completion(Command):
     """Write the script for this shell."""
 
     def run(self) -> None:
-        """Prints the shell code of `FILES`; `lumisplat.cli.main` has printed tyro's completion script before."""
+        """Prints the shell code of `FILES`; `lumisplat.cli.main` has printed the completion script of tyro before."""
         print(FILES[self.shell], end="")

@@ -94,7 +94,7 @@ class Convert(LevelsCommand):
         print("\n".join(done))
 
     def _sources_and_target(self) -> tuple[tuple[Path, ...], Path]:
-        """Returns the files to read and the file to write."""
+        """Returns the files to read and the file to write: ``-o``, else the second of two files."""
         sources, target = self.files, self.output
         if target is None and len(sources) == 2:
             sources, target = sources[:1], sources[1]
@@ -113,11 +113,11 @@ class Convert(LevelsCommand):
 
     @property
     def keeps_incident(self) -> bool:
-        """True if ``--incident`` is given."""
+        """True if ``--incident`` is given: the incident light of a Relightable 3D Gaussians file is kept."""
         return self.incident
 
     def _loaded(self, source: Path, report: Report) -> ls.Gaussians:
-        """Loads a capture; the captures of a glTF or OpenUSD scene are merged."""
+        """Loads a capture; of a glTF or OpenUSD scene, all captures as one."""
         loaded = self.load_asset(source, report)
         if isinstance(loaded, ls.Scene) and loaded.splats and not loaded.meshes:
             rotation = (180.0, 0.0, 0.0) if loaded.up == (0.0, 1.0, 0.0) else (0.0, 0.0, 0.0)  # captures have y down
@@ -132,7 +132,12 @@ class Convert(LevelsCommand):
         return loaded
 
     def _edits(self, report: Report, done: list[str]) -> Iterator[tuple[str, _Edit]]:
-        """Yields the edits in order, each with the options that ask for it; appends user messages to ``done``."""
+        """Yields (options, edit) for each edit that the user asked for, in order; an edit maps Gaussians to Gaussians.
+
+        Args:
+            report: Receives the progress of slow edits.
+            done: Edits append lines about what they did, for the user.
+        """
         if self.box is not None or self.sphere is not None:
             box = None if self.box is None else _split_at(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
             sphere = None
@@ -171,11 +176,16 @@ _UP_SOURCES = {
     "axes": "from the axes of the capture, as no ground was found: check the result",
     "stated": "from the file, as no ground was found",
 }
-"""How the up direction was found if no ground was, by the source that `lumisplat.editing.find_up` reports."""
+"""How the capture's up direction was found where no ground was, in words, by the source that `find_up` reports."""
 
 
 def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
-    """Returns a capture rotated so that its up direction is an axis; appends a line about the rotation to ``done``."""
+    """Returns a capture rotated so that its up direction, found from its ground, is a coordinate axis.
+
+    Args:
+        gaussians: The capture.
+        done: Receives a line about the rotation, for the user.
+    """
     found = ls.editing.find_up(ls.Scene([gaussians]))
     level = ls.editing.level(gaussians, found.up)
     assert level.up is not None
@@ -189,12 +199,12 @@ def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
 
 
 def _split_at(values: tuple[float, ...], first: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Splits values into the first ``first`` values and the rest."""
+    """Splits a tuple into its first ``first`` values and the others."""
     return values[:first], values[first:]
 
 
 def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:
-    """Returns the edited capture; errors name the option that asked for the edit."""
+    """Applies an edit to a capture; an error of the edit gets a message that names the option."""
     try:
         return edit(gaussians)
     except ls.SceneError as error:

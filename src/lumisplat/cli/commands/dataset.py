@@ -32,7 +32,7 @@ from lumisplat.cli.output.images import check_folder, refuse_standard_output
 _log = logging.getLogger("lumisplat")
 
 _NOT_IN_PROVENANCE = ("views", "shard_views")
-"""Settings whose changes do not affect views that already exist."""
+"""Settings that do not change the content of a view, so that a run with other values continues with existing views."""
 
 
 @own_options_first
@@ -115,7 +115,7 @@ class Dataset(FrameCommand, InsertingCommand):
         return config
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, loads the scene, and returns the views as a job.
+        """Checks options and files, loads the scene, and returns the views with functions that make them.
 
         Args:
             report: Receives the progress.
@@ -184,7 +184,7 @@ class Dataset(FrameCommand, InsertingCommand):
         )
 
     def _cameras(self, settings: ls.config.DatasetConfig) -> list[ls.Camera]:
-        """Returns the cameras near which views are placed; empty if views are placed around the scene."""
+        """Returns the cameras of ``--cameras``, near which views are placed; empty if views surround the scene."""
         if settings.poses.where is not ls.config.PosePlaces.CAMERAS:
             return []
         cameras = self.load_cameras(self.cameras, camera_file(self.scene))
@@ -193,7 +193,10 @@ class Dataset(FrameCommand, InsertingCommand):
         return cameras
 
     def _provenance(self, settings: ls.config.DatasetConfig, config: ls.RenderConfig, device: str) -> dict[str, str]:
-        """Returns the values that determine all views, by name: version, device, settings and fingerprints of files."""
+        """Returns everything that the views depend on, as text by name: version, device, settings, file fingerprints.
+
+        A later run continues with existing views only if these values are equal.
+        """
         # The settings file itself is left out: `settings` has its values, and some of them do not affect views.
         files = [*self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
         files += [Path(name) for name in (*settings.objects.files, *settings.lights.environments)]
@@ -213,7 +216,7 @@ class Dataset(FrameCommand, InsertingCommand):
 
 
 class _ViewMaker:
-    """Renders and writes views.
+    """Renders and writes the views of a data set.
 
     Args:
         command: Command with the options.
@@ -226,13 +229,13 @@ class _ViewMaker:
         self._view: ls.dataset.DatasetView | None = None
 
     def render(self, index: int, report: Report) -> ls.Frame:
-        """Renders a view."""
+        """Renders the view of a number: its random camera, lights and objects."""
         view = self._views.view(index)
         self._view = replace(view, camera=self._exposed(view.camera))
         return self._source.frame(view.scene, self._view.camera, report)
 
     def write(self, frame: ls.Frame, index: int) -> None:
-        """Writes the view that was rendered last."""
+        """Writes the images and layers of the view that `render` has rendered last."""
         assert self._view is not None and self._view.index == index
         self._views.save(self._view, frame, self._command.output)
 

@@ -83,7 +83,7 @@ class Delight(LevelsCommand, DeviceCommand):
             print(f"{self.save_environment}: {outcome}")
 
     def _save_environment(self, found: ls.inverse.MaterialEstimate, path: Path, capture: ls.Gaussians) -> None:
-        """Writes the estimated environment as an image."""
+        """Writes the estimated environment as a latitude-longitude image, turned to the up direction of ``--up``."""
         try:
             scene = upright(ls.Scene([capture]), self.up)
             warn_if_up_is_guessed(scene)
@@ -110,7 +110,7 @@ class Delight(LevelsCommand, DeviceCommand):
                 check_folder(path.absolute().parent, path)
 
     def _loaded(self, report: Report) -> ls.Gaussians:
-        """Loads the capture."""
+        """Loads the file, and raises a FormatError unless it is a single capture."""
         asset = self.load_asset(self.capture, report)
         if not isinstance(asset, ls.Gaussians):
             raise ls.FormatError(self.capture, "is not a capture: delight takes a file of Gaussians")

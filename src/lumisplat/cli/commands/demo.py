@@ -69,15 +69,16 @@ class Demo(DeviceCommand):
 
 
 _SAMPLES = 16
-"""Samples per pixel of the lit images: dark corners stay noisy, and a frame takes seconds."""
+"""Samples per pixel of the lit images; few, so that a frame takes seconds: dark corners stay noisy."""
 _SWING_FRAMES = 24
-"""Frames of the animation, in which the spot light swings once, there and back."""
+"""Number of frames of the animation, in which the spot light swings from right to left and back once."""
 _SWING_SAMPLES = 8
-"""Samples per pixel of the animation. This is half of what noise-free lights need: 88 s instead of 156 s on one core.
+"""Samples per pixel of the animation: half of what it takes to remove visible noise, as that took 156 s instead of 88
+s on one core.
 """
 _SWING_FPS = 12.0
 _SWING_MIDDLE = 0.2
-"""x coordinate, in metres, at the middle of the spot light's swing."""
+"""World x coordinate of the spot light in the middle of its swing, metres."""
 
 
 def _lit_config() -> ls.RenderConfig:
@@ -130,7 +131,7 @@ def lit_images(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, 
 
 @contextmanager
 def _few_samples() -> Generator[None]:
-    """Suppresses warnings about few samples in the ``with`` block, because the demo chooses few on purpose."""
+    """Context in which no warnings about too few samples are logged: the demo uses few on purpose."""
     log = logging.getLogger("lumisplat.noise")
     level = log.level
     log.setLevel(logging.ERROR)
@@ -159,21 +160,21 @@ def _swing(scene: ls.Scene, camera: ls.Camera, start: _Start, report: Report) ->
 
 
 def _labelled(report: Report, label: str) -> Report:
-    """Returns a progress function that reports every fraction under one label."""
+    """Returns a progress function that passes on fractions with a fixed label, whatever label it receives."""
     return lambda _, share: report(label, share)
 
 
 _COLUMNS = 4
 _LAYERS = ("albedo", "normal", "depth", "position", "gaussian_index", "instance_index", "emission", "reflection")
-"""Layers in the first two rows of the contact sheet. The third row shows the direct light of each light and ``hits``,
-the fourth the shadows of each light and the image itself."""
+"""Layers in the first two rows of the contact sheet ``lit-aovs.png``. The third row shows the direct light of each
+light and ``hits``, the fourth the shadows of each light and the image itself."""
 
 _SHEET_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
-"""AOVs that a frame must have for the contact sheet."""
+"""AOVs that must be rendered for the contact sheet."""
 
 
 def _write_sheet(frame: ls.Frame, path: Path) -> None:
-    """Writes the contact sheet of a frame with all layers and three lights, twice as wide as the frame."""
+    """Writes a contact sheet of a frame's layers, lights and shadows; it is twice as wide as the frame."""
     from PIL import Image
 
     tiles = _tiles(frame)
@@ -189,7 +190,7 @@ def _write_sheet(frame: ls.Frame, path: Path) -> None:
 
 
 def _tiles(frame: ls.Frame) -> dict[str, Image.Image]:
-    """Returns the images of the contact sheet by layer name, in order."""
+    """Returns the small images of the contact sheet by layer name, in order."""
     from PIL import Image
 
     with tempfile.TemporaryDirectory() as folder:

@@ -72,7 +72,7 @@ def _memory(count: int) -> list[str]:
 
 
 def _state(extra: ExtraFacts) -> str:
-    """Returns the installed packages of an extra; if some are missing, the command that installs the extra."""
+    """Returns the installed packages of an optional extra, or the pip command that installs it if some are missing."""
     if extra.is_installed:
         return ", ".join(f"{package.name} {package.installed}" for package in extra.packages)
     return extra.install

@@ -32,9 +32,9 @@ from lumisplat.cli.output.images import check_folder, file_stems, make_folder
 _log = logging.getLogger("lumisplat")
 
 _HOLD_OUT = 8
-"""Default of ``--hold-out``: every eighth image is held out."""
+"""Default of ``--hold-out``: every eighth image is evaluated and was not trained on."""
 _WORST = 3
-"""Number of the worst views that the report lists and writes as images."""
+"""Number of views with the worst metrics that the report lists and writes as images."""
 
 
 @own_options_first
@@ -161,7 +161,13 @@ class Evaluate(LoadingCommand, DeviceCommand):
     def _views(
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
     ) -> Sequence[ls.io.TrainingImage]:
-        """Returns the held-out images."""
+        """Returns the held-out images, whose views are rendered and compared.
+
+        Args:
+            folder: Folder of images with poses.
+            background: RGB behind transparent parts of the images, as that of the frames.
+            straighten: True removes lens distortion from images and cameras.
+        """
         images = ls.io.load_training_images(
             folder,
             scale=self.scale,
@@ -178,12 +184,12 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
 
 def _files_of(images: ls.io.TrainingImages) -> list[Path]:
-    """Returns the paths of all training and held-out images; names are not unique, as there may be two folders."""
+    """Returns the paths of all images of a data set, training and held-out; their file names may repeat."""
     return [view.path for view in (*images.training, *images.held_out)]
 
 
 def _common_scales(views: Sequence[ls.io.TrainingImage]) -> int:
-    """Returns the largest number of MS-SSIM scales that all images allow, at most five; logs if there are fewer."""
+    """Returns the number of scales for MS-SSIM, at most five, that the smallest image allows; logs if below five."""
     smallest = min((view.camera for view in views), key=lambda camera: min(camera.width, camera.height))
     scales = ls.metrics.ms_ssim_scales(smallest.height, smallest.width)
     if 0 < scales < 5:
@@ -200,7 +206,7 @@ _FIGURES = {
     "roughness_rmse": ("roughness, rmse", "", 4),
     "environment_psnr": ("environment, scaled per channel", "dB", 2),
 }
-"""Label, unit and number of decimals of each metric in the table, by metric."""
+"""Label, unit and number of decimals with which the table shows each metric, by metric name."""
 _VIEW_FIGURES = (
     "coverage",
     "albedo_psnr",
@@ -213,7 +219,7 @@ _VIEW_FIGURES = (
 
 
 def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list[list[str]]]:
-    """Returns the header and the rows of the table of all metrics."""
+    """Returns the header and the rows of the table of material metrics."""
     rows: list[list[str]] = []
     for name, (label, unit, digits) in _FIGURES.items():
         rows.append([label, _number(getattr(result, name), digits), unit])
@@ -226,7 +232,7 @@ def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list
 
 
 def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) -> None:
-    """Writes metrics.json, and an image of each of the worst views with a row for each estimated quantity."""
+    """Writes metrics.json, and for each of the worst views an image that compares estimates with the ground truth."""
     overall: Figures = {name: getattr(result, name) for name in (*_FIGURES, "albedo_psnr_linear")}
     figures = plain(overall) | {"relit": _relit(result.relit), "albedo_scale": list(result.albedo_scale)}
     views = [
@@ -241,7 +247,7 @@ def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) 
 
 
 def _quality(view: ls.inverse.MaterialView) -> float:
-    """Returns the value that ranks views: PSNR of relit images, else PSNR of albedo, else the negative normal error."""
+    """Returns a number that is larger for better views: PSNR of relit images, else of albedo, else -normal error."""
     relit = mean([figures.psnr for figures in view.relit.values()])
     others = [value for value in (relit, view.albedo_psnr, -view.normal_mean) if not math.isnan(value)]
     return others[0] if others else 0.0

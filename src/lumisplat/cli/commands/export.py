@@ -66,7 +66,7 @@ class Export(InsertingCommand):
         print(f"{self.output}: {byte_size(size_on_disk(self.output))}, of {held}")
 
     def _animation(self, report: Report) -> ls.Animation | None:
-        """Returns the animation of a scene.toml with actors or moving cameras, if the format can hold it; else None."""
+        """Loads the animation of a single scene.toml with actors or moving cameras for an OpenUSD file; else None."""
         if self.output.suffix.lower() not in USD or [file.suffix.lower() for file in self.scene] != [".toml"]:
             return None
         (file,) = self.scene
@@ -76,7 +76,7 @@ class Export(InsertingCommand):
         return ls.load_animation(file, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
 
     def _cameras(self) -> list[ls.Camera]:
-        """Returns the given cameras, else those of the scene's files."""
+        """Returns the cameras to write: those of ``--cameras``, else those of the scene's files."""
         if self.cameras is not None:
             return ls.load_cameras(self.cameras)
         files = (file for file in self.scene if file.suffix.lower() in WITH_CAMERAS)
@@ -84,7 +84,7 @@ class Export(InsertingCommand):
 
 
 def _written_counts(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tuple[int, int]:
-    """Counts the lights and cameras in the written file, which may lack some of the scene's."""
+    """Returns the numbers of lights and cameras in the written file; the format may not hold all of the scene's."""
     if path.suffix.lower() in USD:
         return len(scene.lights), sum(camera.model is not ls.CameraModel.FISHEYE for camera in cameras)
     file = path / "scene.glb" if path.is_dir() else path
@@ -94,7 +94,7 @@ def _written_counts(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tu
 
 
 def _is_animated(file: Path) -> bool:
-    """Returns True if a scene file has actors or moving cameras; False also for a file that cannot be read."""
+    """True if a scene.toml has actors or moving cameras; False also for a file that cannot be read."""
     values: dict[str, Any] = {}
     with suppress(OSError, ValueError):
         values = toml_values(file)
@@ -102,5 +102,5 @@ def _is_animated(file: Path) -> bool:
 
 
 def _tables(value: Any) -> list[dict[str, Any]]:
-    """Returns the dictionaries in a list; an empty list if ``value`` is not a list."""
+    """Returns the dictionaries among the elements of a list; an empty list if ``value`` is not a list."""
     return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []  # pyright: ignore[reportUnknownVariableType]

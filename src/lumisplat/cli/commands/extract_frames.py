@@ -13,9 +13,10 @@ from lumisplat.cli.options.command import Command, own_options_first
 from lumisplat.cli.output.console import counted, progress_bars
 
 _FIRST_SIZE = 320
-"""Longer side of the images, in pixels, in the first training that the command suggests, so that it is quick."""
+"""Longer side, pixels, to which the suggested ``lumisplat train`` command scales images, so that a first try is quick.
+"""
 _FIRST_SCALE = 0.5
-"""Largest suggested scale: images that are smaller than 640 pixels train quickly at their size."""
+"""Largest ``--scale`` that is suggested; images that would need a larger one train quickly enough at full size."""
 
 
 @own_options_first

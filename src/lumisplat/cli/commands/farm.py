@@ -26,7 +26,7 @@ class FarmAnimate(Animate):
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Frames are bit-identical to those of a single process."""
+    """Set the workers; frames are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Renders the missing frames, then the video."""
@@ -43,7 +43,7 @@ class FarmOrbit(Orbit):
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Frames are bit-identical to those of a single process."""
+    """Set the workers; frames are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Renders the missing frames, then the video."""
@@ -62,7 +62,7 @@ class FarmRender(Render):
     overwrite: Flag = False
     """Render existing images anew."""
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Images are bit-identical to those of a single process."""
+    """Set the workers; images are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Renders the missing images."""
@@ -79,7 +79,7 @@ class FarmDataset(Dataset):
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Files are bit-identical to those of a single process."""
+    """Set the workers; files are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Renders the missing views, then writes transforms.json and the other files that list all views."""
@@ -107,4 +107,4 @@ class Farm:
         OmitArgPrefixes,
         OmitSubcommandPrefixes,
     ]
-    """Choose what the workers make."""
+    """Choose what the workers make: animate, orbit, render, dataset or train."""

@@ -38,9 +38,10 @@ from lumisplat.cli.output.images import make_folder
 _log = logging.getLogger("lumisplat")
 
 _SHARED_OPTIONS = ("folder", "output", "overwrite", "stop_after", "device", "debug")
-"""Options that tables of a settings file must not set, and that do not affect the trained captures."""
+"""Options of train that farm train sets for all folders; tables of the settings file must not set them, and they do
+not affect the trained captures."""
 _SETTINGS = "settings of "
-"""Prefix of the provenance keys that hold the settings of each capture."""
+"""Prefix of the provenance names for the settings of single captures: ``settings of NAME``."""
 
 
 @own_options_first
@@ -65,7 +66,7 @@ class FarmTrain(Train):
     overwrite: Flag = False
     """Delete the earlier captures and checkpoints before training."""
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Captures are bit-identical to those of a single process."""
+    """Set the workers; captures are bit-identical to those of a single process."""
 
     def run(self) -> None:
         """Trains the missing captures, and prints the report of each."""
@@ -82,7 +83,7 @@ class FarmTrain(Train):
             print(f"{'the same command without --overwrite' if self.overwrite else 'the same command'} continues")
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and folders, and returns the trainings as a job of one "frame" each.
+        """Checks options and folders, and returns a job in which each training of one folder counts as a frame.
 
         Args:
             report: Receives the progress.
@@ -104,7 +105,7 @@ class FarmTrain(Train):
         return CaptureFolder(self.output, "txt", "train.json", tuple(f"{name}.txt" for name in self._names()))
 
     def _names(self) -> list[str]:
-        """Returns the names of the captures.
+        """Returns the name of each folder, which is also that of its capture.
 
         Raises:
             ConfigError: No folder is given, or two have the same name.
@@ -122,7 +123,7 @@ class FarmTrain(Train):
         return list(named)
 
     def _trainings(self) -> list[Train]:
-        """Returns the `Train` command of each folder, with the settings of the folder's table.
+        """Returns a `Train` command for each folder, with the options of the folder's table in the settings file.
 
         Raises:
             LumisplatError: An option or a setting is wrong.
@@ -137,7 +138,7 @@ class FarmTrain(Train):
         return trainings
 
     def _train(self, index: int, report: Report) -> Any:
-        """Trains one capture; returns its report as text, and True if the training has finished."""
+        """Trains the capture of a folder number. Returns (report as text, True if the training has finished)."""
         training = self._trainings()[index]
         make_folder(self.output)
         result, found = training.make(report)
@@ -147,12 +148,12 @@ class FarmTrain(Train):
         return printed.getvalue(), result.is_finished
 
     def _write(self, made: Any, index: int) -> None:
-        """Writes the report of a training; the name of the report's file says whether the training has finished."""
+        """Writes the report that `_train` returned, as NAME.txt, or NAME.unfinished.txt if the training was stopped."""
         text, is_finished = made
         self._folder().write_report(index, text, is_finished=is_finished)
 
     def _provenance(self) -> dict[str, str]:
-        """Returns the values that determine all captures, except the images, by name: version and settings."""
+        """Returns everything but the images that the captures depend on, as text by name: version and settings."""
         own = {entry.name: f"{getattr(self, entry.name)}" for entry in fields(Train)}
         settings = TrainSettings.read(self.settings, self._names())
         return {
@@ -164,19 +165,19 @@ class FarmTrain(Train):
 
 @dataclass(frozen=True)
 class CaptureFolder(FrameFolder):
-    """Folder of captures with the report of each training: ``NAME.txt``, or ``NAME.unfinished.txt`` if unfinished."""
+    """Folder of trained captures, with a report of each: NAME.txt, or NAME.unfinished.txt until it has finished."""
 
     def is_stopped(self, index: int) -> bool:
-        """Returns True if a training is unfinished because it reached the time of ``--stop-after``."""
+        """True if the training of a number reached the time of ``--stop-after`` before its end."""
         return self._unfinished(index).is_file()
 
     def report(self, index: int) -> str:
-        """Returns the report of a training."""
+        """Returns the text of the report of the training with a number."""
         path = self.path(index)
         return (path if path.is_file() else self._unfinished(index)).read_text(encoding="utf-8")
 
     def write_report(self, index: int, text: str, *, is_finished: bool) -> None:
-        """Writes the report of a training.
+        """Writes the report of the training with a number.
 
         Raises:
             FormatError: The file cannot be written.
@@ -198,7 +199,7 @@ class CaptureFolder(FrameFolder):
         return self.path(index).with_suffix(".unfinished.txt")
 
     def _clear(self, stamp: Path) -> None:
-        """Removes the stamp, reports, captures and checkpoints, so that trainings start anew."""
+        """Removes the stamp, all reports, captures and checkpoints, so that all trainings start from the beginning."""
         stamp.unlink(missing_ok=True)
         for index in range(len(self.names or ())):
             ls.training.forget_training(self.path(index).with_suffix(".ply"))
@@ -206,12 +207,15 @@ class CaptureFolder(FrameFolder):
         super()._clear(stamp)
 
     def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
-        """Returns the provenance to store, including the settings of captures that earlier commands trained here."""
+        """Returns the values for the stamp: the provenance, and settings of captures that other runs trained here."""
         others = {name: value for name, value in (stored_provenance(stamp) or {}).items() if name.startswith(_SETTINGS)}
         return others | dict(provenance)
 
     def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
-        """Returns the keys whose values differ, except captures that only one side lists: captures may be added."""
+        """Returns the names of the values in which a stamp and a provenance differ.
+
+        Settings of a capture that only one of them has do not count, so that folders can be added later.
+        """
         return [
             name
             for name in super()._differing(stored, provenance)
@@ -221,7 +225,7 @@ class CaptureFolder(FrameFolder):
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """Options of single folders, from the tables of a settings file, by folder name."""
+    """Options of train for single folders, from the tables of a settings file, by folder name."""
 
     path: Path | None
     names: list[str]
@@ -229,7 +233,7 @@ class TrainSettings:
 
     @staticmethod
     def read(path: Path | None, names: list[str]) -> TrainSettings:
-        """Reads a settings file.
+        """Reads all tables of a settings file.
 
         Args:
             path: The file; None for no settings.
@@ -260,11 +264,11 @@ class TrainSettings:
             _log.warning("%s: [%s] belongs to no given folder: there are %s", self.path, others[0], given)
 
     def text(self, name: str) -> str:
-        """Returns the settings of a folder as text for the provenance; equal settings give equal text."""
+        """Returns the settings of a folder as text for the stamp, independent of their order in the file."""
         return ", ".join(f"{key} = {value!r}" for key, value in sorted(self.tables.get(name, {}).items()))
 
     def applied(self, name: str, training: Train) -> Train:
-        """Returns a `Train` command with the settings of one folder's table.
+        """Returns a `Train` command changed by the table of the folder ``name``.
 
         Raises:
             FormatError: A key is not an option that tables may set, or a value is wrong.

@@ -145,7 +145,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             check_report(self.report, images)
 
     def _cameras(self, file: Path | None, images: list[Path]) -> list[ls.Camera]:
-        """Returns the camera of each image."""
+        """Returns the camera of each image: named by ``--camera``, else by the image's file name, else the only one."""
         path = self.cameras or file
         if path is None:
             raise ls.ConfigError("no cameras given: --cameras FILE, or a scene.toml with cameras")
@@ -163,7 +163,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return [_camera_named(path, known, image.stem) for image in images]
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """Returns the render settings of the fit: path tracing, unless ``--pipeline`` is given."""
+        """Returns the render settings of the fit: path tracing unless ``--pipeline`` is given, and no tone map."""
         config = replace(base, pipeline=ls.Pipeline(self.pipeline or "path"), samples=self.samples, tone_map="none")
         return self.changed(config if self.shadows is None else replace(config, shadows=ls.Shadows(self.shadows)))
 
@@ -173,7 +173,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return None if self.environment_degree == "none" else int(self.environment_degree)
 
     def _base_colors(self) -> bool | list[str]:
-        """Returns the materials whose base colour is fitted: True for all, False for none, or a list of names."""
+        """Parses ``--base-colors``: True fits those of all materials, a list those of the named ones, False none."""
         if self.base_colors is None or self.base_colors == "all":
             return self.base_colors is not None
         names = [name.strip() for name in self.base_colors.split(",") if name.strip()]
@@ -182,7 +182,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return names
 
     def _exposure(self) -> float | Literal["fit"] | None:
-        """Returns the exposure in stops, ``fit`` to find it, or None to keep the exposures of the cameras."""
+        """Parses ``--exposure``: stops, ``fit`` to estimate them, or None to use the exposures of the cameras."""
         if self.exposure is None or self.exposure == "fit":
             return "fit" if self.exposure else None
         try:
@@ -192,7 +192,13 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
 
 
 def _camera_named(path: Path, cameras: list[ls.Camera], name: str) -> ls.Camera:
-    """Returns the camera with a name; the name may leave out the camera's file extension."""
+    """Returns the camera whose name, with or without its file extension, is the given one.
+
+    Args:
+        path: File of the cameras, for the error message.
+        cameras: All cameras of the file.
+        name: Name as typed.
+    """
     for camera in cameras:
         if name in (camera.name, Path(camera.name).stem):
             return camera
@@ -203,7 +209,7 @@ def _camera_named(path: Path, cameras: list[ls.Camera], name: str) -> ls.Camera:
 def _fitted_document(
     document: ls.io.SceneDocument, fit: ls.inverse.LightFit, output: Path
 ) -> tuple[ls.io.SceneDocument, list[str]]:
-    """Returns the document with the lights that were found, and a line for each base colour that it cannot store.
+    """Returns the document with the lights that were found, and warnings about base colours that it cannot store.
 
     An SH environment is written as ``NAME.assets/environment.exr``, and captures with new base colours beside it as
     ``.ply``.
@@ -236,13 +242,13 @@ def _fitted_document(
 
 
 def _environment_table(light: ls.LightEnvironment) -> dict[str, Any]:
-    """Returns the scene-file table of an environment, without the path of its image."""
+    """Returns the keys of a scene file's ``[environment]`` table for an environment; ``path`` is left to the caller."""
     (entry,) = ls.io.SceneDocument.of(ls.Scene(lights=[light])).entries
     return {key: value for key, value in entry.table.items() if key != "path"}
 
 
 def _saved_environment(fit: ls.inverse.LightFit, output: Path) -> Path:
-    """Writes the SH environment as an image file, and returns the path."""
+    """Writes the fitted SH environment as an .exr image in the assets folder, and returns its path."""
     assert fit.environment is not None
     path = _made_assets(output) / "environment.exr"
     fit.environment.save(path, rotation_wxyz=fit.scene.upright_wxyz, height=32)
@@ -250,12 +256,12 @@ def _saved_environment(fit: ls.inverse.LightFit, output: Path) -> Path:
 
 
 def _assets_of(output: Path) -> Path:
-    """Returns the folder ``NAME.assets`` for the files that the scene file ``NAME.toml`` refers to."""
+    """Returns the path of the folder NAME.assets, for files to which the scene file NAME.toml refers."""
     return output.with_name(f"{output.stem}.assets").absolute()
 
 
 def _relative_name(document: ls.io.SceneDocument, path: Path) -> str:
-    """Returns a file's path from the folder of a document; the absolute path if it is on another drive."""
+    """Returns how a document refers to a file: by its path from the document's folder, or absolute on another drive."""
     try:
         return Path(os.path.relpath(path, document.file.absolute().parent)).as_posix()
     except ValueError:
@@ -263,7 +269,7 @@ def _relative_name(document: ls.io.SceneDocument, path: Path) -> str:
 
 
 def _made_assets(output: Path) -> Path:
-    """Creates the folder of `_assets_of` if needed, and returns its path."""
+    """Creates the folder NAME.assets beside a scene file if needed, and returns its path."""
     folder = _assets_of(output)
     make_folder(folder)
     return folder
@@ -272,9 +278,9 @@ def _made_assets(output: Path) -> Path:
 def _with_captures(
     document: ls.io.SceneDocument, fit: ls.inverse.LightFit, output: Path
 ) -> tuple[ls.io.SceneDocument, list[str]]:
-    """Writes captures with new base colours to files, and returns the document with these files.
+    """Writes each capture whose base colours were fitted as a .ply, and returns the document that refers to it.
 
-    Also returns a log line for each capture whose colours cannot be written.
+    Also returns a warning for each such capture that is not a file of its own, whose colours are not written.
     """
     before, after = document.scene(), fit.scene
     entries = [document.owner(number) for number in range(len(before.splats))]
@@ -293,7 +299,7 @@ def _with_captures(
 
 
 def _with_colors(document: ls.io.SceneDocument, fit: ls.inverse.LightFit) -> tuple[ls.io.SceneDocument, list[str]]:
-    """Returns the document with the new base colours of meshes, and a log line for each colour that it cannot store."""
+    """Returns the document with the fitted base colours of meshes, and a warning for each that it cannot store."""
     before, after = document.scene(), fit.scene
     owned: dict[int, list[int]] = {}
     for number in range(len(before.meshes)):
@@ -317,11 +323,11 @@ def _with_colors(document: ls.io.SceneDocument, fit: ls.inverse.LightFit) -> tup
 
 
 _WIDTH = 480
-"""Largest width of images in the report, pixels."""
+"""Largest width of the images in the report, pixels; wider ones are reduced."""
 
 
 def _light_rows(fit: ls.inverse.LightFit) -> tuple[list[str], list[list[str]]]:
-    """Returns header and rows of the table of lights: power, position, standard errors, and fraction of all light."""
+    """Returns header and rows of the table of fitted lights: power, position, standard errors, share of all light."""
     header = ["light", "red", "green", "blue", "+-", "position", "+-", "share"]
     rows: list[list[str]] = []
     for number, light in enumerate(fit.lights):
@@ -391,7 +397,12 @@ def _name(fit: ls.inverse.LightFit, number: int) -> str:
 
 
 def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
-    """Returns the linear RGB of a light: colour times intensity; for an SH environment, the mean radiance."""
+    """Returns the linear RGB of a fitted light: colour times intensity, or mean radiance for an SH environment.
+
+    Args:
+        fit: Result of the fit.
+        number: Index into ``fit.lights``; an SH environment is the last.
+    """
     light = fit.lights[number]
     if fit.environment is not None and number == len(fit.lights) - 1:
         return [float(x) / (2.0 * math.sqrt(math.pi)) for x in fit.environment.coefficients[0]]
@@ -399,7 +410,7 @@ def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
 
 
 def _image_and_frame(image: Any, frame: ls.Frame) -> tuple[Any, Any]:
-    """Returns an image resized to a frame, and the frame, both in display colours, shape (H, W, 3)."""
+    """Returns an image, resized to a frame's resolution, and the frame, as display colours 0..1, shape (H, W, 3)."""
     import numpy as np
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""``lumisplat info``: prints what is in a file."""
+"""``lumisplat info``: prints what captures, meshes, scenes, cameras and images contain."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Info(LevelsCommand):
                 return head | radiance_facts(held)
 
     def _load(self, path: Path) -> tuple[str, Held]:
-        """Loads a file; returns its kind, such as ``capture``, and its content."""
+        """Loads a file. Returns what it is, such as ``capture``, and the loaded object."""
         suffix = path.suffix.lower()
         if _holds_cameras(path):
             return "cameras", ls.load_cameras(path)
@@ -126,7 +126,7 @@ class Info(LevelsCommand):
 
 
 def _holds_cameras(path: Path) -> bool:
-    """Returns whether a path is a camera file, or the folder or a file of a sparse COLMAP model."""
+    """True if a path is a camera file, or a sparse COLMAP model (its folder or one of its files)."""
     if os.path.isdir(path):  # Path.is_dir raises for names that are too long; the reader reports these
         return any((path / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
     of_colmap = path.stem in ("cameras", "images") and path.suffix in (".bin", ".txt")
@@ -134,19 +134,19 @@ def _holds_cameras(path: Path) -> bool:
 
 
 def _cameras(path: Path) -> list[ls.Camera]:
-    """Returns the cameras of a scene file; empty for formats without cameras."""
+    """Returns the cameras that a scene file contains; an empty list for formats that cannot contain any."""
     return ls.load_cameras(path) if path.suffix.lower() in WITH_CAMERAS else []
 
 
 def _animation(path: Path) -> ls.Animation | None:
-    """Returns the animation of a scene file; None without actors."""
+    """Returns the animation of a scene file; None if the file has no actors."""
     if path.suffix.lower() != ".toml" or not toml_values(path).get("actors"):
         return None
     return ls.load_animation(path)
 
 
 def _rig(path: Path) -> ls.avatars.Rig | None:
-    """Returns the rig of a glTF file; None if the file has no joints or clips, or a rig that cannot be animated."""
+    """Returns the rig (joints and clips) of a glTF file; None without a rig, or with one that cannot be animated."""
     if path.suffix.lower() not in (".glb", ".gltf"):
         return None
     document = gltf_document(path)
@@ -188,7 +188,10 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
 
 
 def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object]) -> list[tuple[int, _Instance, int]]:
-    """Groups instances by the value of ``kind``; returns index, first instance and size of each group."""
+    """Groups instances for which a key function returns equal values, such as copies of one capture.
+
+    Returns (index of the first, first instance, size of the group) for each group.
+    """
     groups: dict[object, list[int]] = {}
     for index, instance in enumerate(instances):
         groups.setdefault(kind(instance), []).append(index)
@@ -201,13 +204,13 @@ def _times(count: int) -> str:
 
 
 _BAR = 24
-"""Length of the longest histogram bar, characters."""
+"""Number of characters of the longest bar in the opacity histogram."""
 
 Rows = list[tuple[str, str]]
 
 
 def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
-    """Returns the table rows of a capture."""
+    """Returns (name, value) rows about a capture: Gaussian count, bounds, opacities and so on."""
     import numpy as np
 
     arrays = gaussians.arrays()
@@ -240,12 +243,12 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
 
 
 def _origin(origin: tuple[float, float, float]) -> str:
-    """Returns the position of a file's origin in map coordinates as text."""
+    """Returns the map coordinates of a georeferenced file's origin as text; bounds are relative to it."""
     return "{:.12g} {:.12g} {:.12g}, to which bounds are relative".format(*origin)
 
 
 def block_rows(index: ls.io.BlockIndex) -> Rows:
-    """Returns the table rows of a capture in blocks."""
+    """Returns (name, value) rows about a folder of `lumisplat blocks`, from its index."""
     known = block_facts(index)
     counts = [f"{count:,}" for count in known["level_gaussians"]]
     low, high = index.bounds
@@ -260,7 +263,7 @@ def block_rows(index: ls.io.BlockIndex) -> Rows:
 
 
 def splat_rows(splat: ls.SplatInstance) -> Rows:
-    """Returns the table rows of a capture in a scene, with its material."""
+    """Returns (name, value) rows about a capture instance of a scene, with its material."""
     rows = _placed(gaussian_rows(splat.gaussians), splat)
     if splat.material is not None:
         rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material))]
@@ -272,29 +275,29 @@ def splat_rows(splat: ls.SplatInstance) -> Rows:
 
 
 def placed_mesh_rows(instance: ls.MeshInstance) -> Rows:
-    """Returns the table rows of a mesh in a scene."""
+    """Returns (name, value) rows about a mesh instance of a scene."""
     return _placed(mesh_rows(instance.mesh), instance)
 
 
 def _placed(rows: Rows, instance: ls.SplatInstance | ls.MeshInstance) -> Rows:
-    """Inserts a row with the world bounding box after the row with the bounds in file coordinates."""
+    """Adds the world-space bounding box of an instance to its table rows, after the bounds in file coordinates."""
     after = next(index for index, (name, _) in enumerate(rows) if name == "bounds") + 1
     return [*rows[:after], ("placed", box(*instance.bounds())), *rows[after:]]
 
 
 def rig_rows(rig: ls.avatars.Rig) -> Rows:
-    """Returns the table rows of a rig: joints, and clips with their durations."""
+    """Returns (name, value) rows about a rig: its joints, and its clips with their durations."""
     clips = ", ".join(f"{name} {rig.duration(name):.4g} s" for name in rig.clips)
     return [("joints", f"{_joint_count(rig):,}"), ("clips", clips or "none")]
 
 
 def _joint_count(rig: ls.avatars.Rig) -> int:
-    """Returns the number of rig nodes that move vertices."""
+    """Returns the number of a rig's nodes whose motion deforms the mesh."""
     return len({int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes})
 
 
 def actor_rows(actor: ls.Actor) -> Rows:
-    """Returns the table rows of an actor: kind, clip and keyframes."""
+    """Returns (name, value) rows about an actor: what it is, its clip and its keyframes."""
     subject, rig, motion = actor.subject, actor.rig, actor.motion
     rows = [("kind", type(subject).__name__)]
     if isinstance(subject, ls.io.GaussianSequence):
@@ -317,7 +320,7 @@ def actor_rows(actor: ls.Actor) -> Rows:
 
 
 def mesh_rows(mesh: ls.Mesh) -> Rows:
-    """Returns the table rows of a mesh and its material."""
+    """Returns (name, value) rows about a mesh and its material, in file coordinates."""
     material = mesh.material
     has = [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None]
     rows = [
@@ -342,7 +345,7 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
 
 
 def light_row(light: Light) -> tuple[str, str]:
-    """Returns the table row of a light: kind, intensity and position."""
+    """Returns a (name, value) row about a light: its type, intensity and position."""
     kind = type(light).__name__.removeprefix("Light").lower()
     texts = [f"{light.intensity:.4g} {light.unit}"]
     if light.color != (1.0, 1.0, 1.0):
@@ -365,7 +368,7 @@ def light_row(light: Light) -> tuple[str, str]:
 
 
 def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
-    """Returns the table rows of the cameras of a file."""
+    """Returns (name, value) rows about the cameras of a file: count, sizes and lenses."""
     import numpy as np
 
     sizes = sorted({(camera.width, camera.height) for camera in cameras})
@@ -385,7 +388,7 @@ def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
 
 
 def _lenses(cameras: Sequence[ls.Camera]) -> Iterator[str]:
-    """Yields texts about camera models, and the distortion coefficients of the first camera with distortion."""
+    """Yields texts about the camera models in use, and the distortion coefficients of the first distorted camera."""
     yield ", ".join(dict.fromkeys(camera.model.value for camera in cameras))
     distorted = [camera for camera in cameras if camera.is_distorted]
     if distorted:
@@ -397,7 +400,7 @@ def _lenses(cameras: Sequence[ls.Camera]) -> Iterator[str]:
 
 
 def radiance_rows(image: Array) -> Rows:
-    """Returns the table rows of a radiance image, such as an environment."""
+    """Returns (name, value) rows about an image of linear radiance, such as an environment map."""
     import numpy as np
 
     return [
@@ -409,7 +412,7 @@ def radiance_rows(image: Array) -> Rows:
 
 
 def changed_settings(config: ls.RenderConfig) -> str:
-    """Returns the settings of a scene file that differ from the library's defaults, as text."""
+    """Returns the render settings that differ from the library's defaults, as text such as ``samples 64``."""
     default = ls.RenderConfig()
     texts: list[str] = []
     for field in fields(config):
@@ -423,7 +426,7 @@ def changed_settings(config: ls.RenderConfig) -> str:
 
 
 def image_size(image: Array) -> str:
-    """Returns the width and height of an image as text."""
+    """Returns an image's width and height as text."""
     return f"{image.shape[1]} x {image.shape[0]}"
 
 
@@ -433,7 +436,7 @@ def box(low: Array, high: Array) -> str:
 
 
 def _point(values: Iterable[float]) -> str:
-    """Returns a point or direction as text, with 0 for -0."""
+    """Returns the coordinates of a point or direction as text, with 0 for -0."""
     return f"({', '.join(f'{value:z.4g}' for value in values)})"
 
 
@@ -443,7 +446,7 @@ def _setting(value: object) -> str:
 
 
 def _surface(material: Material) -> str:
-    """Returns the factors of a material, such as roughness and emission, as text."""
+    """Returns the factors of a material, such as roughness and emission, as one line of text."""
     if isinstance(material, ls.MaterialPbr):
         names = ("metallic", "roughness", "specular", "ior", "transmission")
         texts = [f"{name} {getattr(material, name):.3g}" for name in names]
@@ -457,7 +460,7 @@ def _surface(material: Material) -> str:
 
 
 def _inside(material: Material) -> Rows:
-    """Returns a table row about the medium inside a transmissive mesh; no row for opaque materials."""
+    """Returns a (name, value) row about absorption inside a transmissive mesh; an empty list for other materials."""
     if not isinstance(material, ls.MaterialPbr) or material.transmission <= 0.0:
         return []
     if material.thin_walled:
@@ -470,7 +473,7 @@ def _inside(material: Material) -> Rows:
 
 
 def _histogram(opacities: Array) -> str:
-    """Returns a text histogram of opacities, with a bar for each tenth of 0..1."""
+    """Returns a text histogram of opacities with ten bars, one for each tenth of 0..1."""
     import numpy as np
 
     counts, edges = np.histogram(opacities, bins=10, range=(0.0, 1.0))
@@ -484,7 +487,7 @@ Facts = dict[str, Any]
 
 
 def capture_facts(gaussians: ls.Gaussians) -> Facts:
-    """Returns the JSON values of a capture, in file coordinates."""
+    """Returns what ``--json`` prints about a capture; bounds are in file coordinates."""
     import numpy as np
 
     arrays = gaussians.arrays()
@@ -506,7 +509,7 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
 
 
 def block_facts(index: ls.io.BlockIndex) -> Facts:
-    """Returns the JSON values of a capture in blocks, read from its index without loading blocks."""
+    """Returns what ``--json`` prints about a folder of `lumisplat blocks`; reads its index, and loads no blocks."""
     low, high = index.bounds
     levels = max(len(block.levels) for block in index.blocks)
     return {
@@ -523,7 +526,7 @@ def block_facts(index: ls.io.BlockIndex) -> Facts:
 
 
 def mesh_facts(mesh: ls.Mesh) -> Facts:
-    """Returns the JSON values of a mesh, in file coordinates."""
+    """Returns what ``--json`` prints about a mesh; bounds are in file coordinates."""
     return {
         "vertices": mesh.vertex_count,
         "faces": mesh.face_count,
@@ -537,7 +540,7 @@ def mesh_facts(mesh: ls.Mesh) -> Facts:
 
 
 def _inside_facts(material: Material) -> Facts | None:
-    """Returns the JSON values of the medium inside a transmissive mesh; None for opaque materials."""
+    """Returns what ``--json`` prints about absorption inside a transmissive mesh; None for other materials."""
     if getattr(material, "transmission", 0.0) <= 0.0:
         return None
     names = ("thin_walled", "attenuation_color", "attenuation_distance", "ior", "priority")
@@ -545,12 +548,12 @@ def _inside_facts(material: Material) -> Facts | None:
 
 
 def black_share(mesh: ls.Mesh) -> float:
-    """Returns the fraction of vertices that are black, 0..1; black vertices stay black under any light."""
+    """Returns the fraction of a mesh's vertices whose colour is black, 0..1; no light brightens these."""
     return 0.0 if mesh.colors is None else float((mesh.colors.max(axis=1) < 0.5 / 255.0).mean())
 
 
 def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
-    """Returns the JSON values of a scene: instances with their world bounding boxes, lights and cameras."""
+    """Returns what ``--json`` prints about a scene: instances with world-space bounding boxes, lights and cameras."""
     return {
         "bounds": _box(scene.bounds()) if scene.splats or scene.meshes else None,
         "captures": [
@@ -566,13 +569,13 @@ def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
 
 
 def rig_facts(rig: ls.avatars.Rig) -> Facts:
-    """Returns the JSON values of a rig: number of joints, and clips with their durations in seconds."""
+    """Returns what ``--json`` prints about a rig: number of joints, and clips with their durations in seconds."""
     clips = [{"name": name, "duration": rig.duration(name)} for name in rig.clips]
     return {"joints": _joint_count(rig), "clips": clips}
 
 
 def animation_facts(animation: ls.Animation) -> Facts:
-    """Returns the JSON values of an animation: actors, and duration in seconds."""
+    """Returns what ``--json`` prints about an animation: its actors, and its duration in seconds."""
     return {
         "fps": animation.fps,
         "frames": animation.frame_count,
@@ -582,7 +585,7 @@ def animation_facts(animation: ls.Animation) -> Facts:
 
 
 def actor_facts(actor: ls.Actor) -> Facts:
-    """Returns the JSON values of an actor: kind and motion."""
+    """Returns what ``--json`` prints about an actor: what it is, and how it moves."""
     rig, motion, subject = actor.rig, actor.motion, actor.subject
     is_sequence = isinstance(subject, ls.io.GaussianSequence)
     return {
@@ -604,13 +607,13 @@ def actor_facts(actor: ls.Actor) -> Facts:
 
 
 def light_facts(light: Light) -> Facts:
-    """Returns the JSON values of a light: kind, and all fields except images."""
+    """Returns what ``--json`` prints about a light: its type, and all fields except images."""
     named = {field.name: getattr(light, field.name) for field in fields(light) if field.name != "image"}
     return {"kind": type(light).__name__.removeprefix("Light").lower(), **{k: _plain(v) for k, v in named.items()}}
 
 
 def camera_facts(cameras: Sequence[ls.Camera]) -> Facts:
-    """Returns the JSON values of the cameras of a file."""
+    """Returns what ``--json`` prints about the cameras of a file."""
     import numpy as np
 
     eyes = np.array([camera.eye for camera in cameras])
@@ -625,7 +628,7 @@ def camera_facts(cameras: Sequence[ls.Camera]) -> Facts:
 
 
 def radiance_facts(image: Any) -> Facts:
-    """Returns the JSON values of a radiance image."""
+    """Returns what ``--json`` prints about an image of linear radiance, such as an environment map."""
     return {
         "width": int(image.shape[1]),
         "height": int(image.shape[0]),
@@ -640,7 +643,7 @@ def _box(corners: tuple[Any, Any]) -> list[list[float]]:
 
 
 def _plain(value: Any) -> Any:
-    """Returns a value as JSON can store it, with None for infinity."""
+    """Converts a value, such as an array or enum, to a value that JSON can store; infinity becomes None."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return [*cast("tuple[Any, ...]", value)] if isinstance(value, tuple) else value

@@ -54,7 +54,7 @@ class Metrics(LoadingCommand):
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Read the avatar before relighting, and print the improvement."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
-    """Compare with Gaussians of the scene within this distance."""
+    """Use scene Gaussians within this distance of the avatar's centre."""
     json: Flag = False
     """Print JSON instead of a table."""
 
@@ -74,7 +74,7 @@ class Metrics(LoadingCommand):
         self._compare_images(*self.files)
 
     def _compare_images(self, image: Path, reference: Path) -> None:
-        """Prints the metrics of each pair of images, and their means."""
+        """Prints the metrics of an image, or of each image of a folder, against its reference, and their means."""
         names = _wanted(self.metrics)
         pairs = image_pairs(image, reference)
         with progress_bars() as report:
@@ -120,14 +120,14 @@ class Metrics(LoadingCommand):
         return asset
 
     def _light_figures(self, avatar: _Capture, scene: _Capture) -> Figures:
-        """Returns the light metrics of an avatar in a scene, by name."""
+        """Returns how well the light on an avatar matches the scene around it, as metric values by name."""
         points = ls.metrics.LitPoints.of(avatar)
         options = {} if self.radius is None else {"radius": self.radius}
         return {name: _metric(name)(points, scene, **options) for name in _LIGHT_METRICS}
 
 
 def _print_gain(before: Figures, after: Figures, *, as_json: bool) -> None:
-    """Prints the light metrics of an avatar before and after relighting, and their decrease."""
+    """Prints the light metrics of an avatar before and after relighting, and by how much they decreased (improved)."""
     table = {
         name: {"original": before[name], "relit": after[name], "delta": before[name] - after[name]}
         for name in _LIGHT_METRICS
@@ -149,7 +149,11 @@ def _wanted(names: str | None) -> list[str]:
 
 
 def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tuple[list[Figures], list[str]]:
-    """Returns the metrics of each image pair, NaN where a metric failed, and the distinct reasons for failures."""
+    """Returns the metrics of each image pair (NaN if one fails), and the texts of the different errors.
+
+    Raises:
+        LumisplatError: No metric of any pair could be computed.
+    """
     rows: list[Figures] = []
     problems: dict[str, ls.LumisplatError] = {}
     for index, pair in enumerate(pairs):
@@ -170,7 +174,7 @@ def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tu
 
 
 def _figure(name: str, pair: Pair) -> float:
-    """Returns one metric of an image pair."""
+    """Returns the value of the metric ``name`` for an image and its reference."""
     load = _loaded_image if name in _IMAGE_METRICS else _shadow_strength
     image, reference = load(pair.image), load(pair.reference)
     try:
@@ -181,24 +185,27 @@ def _figure(name: str, pair: Pair) -> float:
 
 @lru_cache(maxsize=2)
 def _loaded_image(path: Path) -> npt.NDArray[np.float32]:
-    """Loads an image in display colours; the last two images are cached for the pair's next metric."""
+    """Loads an image in display colours. The last two images are cached, as each metric of a pair loads both."""
     return ls.load_image(path)
 
 
 def _metric(name: str) -> Callable[..., float]:
-    """Returns the function in `lumisplat.metrics` that computes a metric."""
+    """Returns the function of `lumisplat.metrics` for a metric name such as ``ms-ssim``."""
     return getattr(ls.metrics, name)
 
 
 @lru_cache(maxsize=2)
 def _shadow_strength(path: Path) -> npt.NDArray[np.float32]:
-    """Returns the mean over an image's colour channels: linear for .exr and .hdr files, else of display colours."""
+    """Loads an image for shadow metrics: the mean over its colour channels, shape (H, W).
+
+    Values are linear for .exr and .hdr files, display colours for all others.
+    """
     linear = path.suffix.lower() in (".exr", ".hdr")
     return (ls.io.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
 
 
 def _counted(files: Sequence[Path]) -> str:
-    """Returns the number of given files as text."""
+    """Returns the number of files as text for an error message, such as ``3 files``."""
     return "no file given" if not files else f"{len(files)} file{'s' * (len(files) > 1)} given"
 
 

@@ -65,7 +65,7 @@ class Orbit(ViewsCommand, FrameCommand):
         print(lines)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, loads the scene, and returns the frames as a job.
+        """Checks options and files, loads the scene, and returns the frames with functions that make them.
 
         Args:
             report: Receives the progress.
@@ -112,12 +112,12 @@ class Orbit(ViewsCommand, FrameCommand):
         )
 
     def _turntable_cameras(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
-        """Returns the cameras on a circle around the scene."""
+        """Returns ``count`` cameras on a horizontal circle around the scene; together they make ``--turns`` turns."""
         start, target = self.viewpoint_camera(scene, all_around=True), self.viewpoint.target_point(scene)
         return ls.orbit_cameras(scene, count, start, turns=self.turns, target=target)
 
     def _frame_count(self) -> int:
-        """Returns the number of frames."""
+        """Returns the number of frames: ``--seconds`` times ``--fps``, rounded."""
         for option, value in (("--seconds", self.seconds), ("--fps", self.fps)):
             if not 0.0 < value < math.inf:
                 raise ls.ConfigError(f"{option} is {value:g}, expected a positive number")
@@ -128,7 +128,10 @@ class Orbit(ViewsCommand, FrameCommand):
         return max(1, round(self.seconds * self.fps))
 
     def _provenance(self, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
-        """Returns the values that determine all frames, by name: version, device, settings, fingerprints of files."""
+        """Returns everything that the frames depend on, as text by name: version, device, settings, file fingerprints.
+
+        A later run continues with existing frames only if these values are equal.
+        """
         files = [*self.scene, *(path for path in (self.camera_path, self.light.environment) if path is not None)]
         chosen = (
             "seconds",

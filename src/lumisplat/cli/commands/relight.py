@@ -28,7 +28,7 @@ from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 _SH_Y00 = 0.5 / math.sqrt(math.pi)
 """Value of the SH basis function of degree 0. A probe's first coefficient times this value is its mean radiance."""
 _GAMMA_MAX = 1000.0
-"""Largest ``gamma`` of `RelightConfig`."""
+"""Largest value that ``--gamma`` accepts."""
 
 
 @own_options_first
@@ -104,7 +104,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
             raise ls.FormatError(self.probe, "unknown extension for the image of a probe, expected .exr")
 
     def _loaded_avatar(self, report: Report) -> ls.SplatInstance:
-        """Loads the avatar; a scene.toml also sets its transform."""
+        """Loads the avatar as an instance: a scene.toml also gives it a transform, a capture file none."""
         asset = self.load_asset(self.avatar, report)
         if isinstance(asset, ls.Gaussians):
             return ls.SplatInstance(asset)
@@ -118,7 +118,16 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     def _print_summary(
         self, relit: ls.Gaussians, probe: ls.avatars.EnvironmentProbe, position: tuple[float, float, float]
     ) -> None:
-        """Prints the written file, the brightness of the gathered light, and the ``--gamma`` that would preserve it."""
+        """Prints where the result was written, and the mean of the gathered light.
+
+        If the light is much darker or brighter than display white, suggests the ``--gamma`` that keeps the avatar's
+        brightness.
+
+        Args:
+            relit: The result.
+            probe: Light gathered from the scene.
+            position: World position at which it was gathered.
+        """
         mean = _SH_Y00 * probe.coefficients[0]
         print(
             f"{self.output}: {counted(relit.count, 'Gaussian')} in the light at "
@@ -135,7 +144,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
 
 
 def _center_of_bulk(avatar: ls.SplatInstance) -> tuple[float, float, float]:
-    """Returns the centre of an avatar's bounding box, ignoring stray Gaussians."""
+    """Returns the world-space centre of an avatar's bounding box, which leaves out stray Gaussians."""
     low, high = ls.Scene(splats=(avatar,)).bulk_bounds()
     x, y, z = (float(value) for value in 0.5 * (low + high))
     return x, y, z

@@ -50,12 +50,12 @@ _log = logging.getLogger("lumisplat")
 _STAMP = "render.json"
 _NUMBERS = re.compile(r"[\d:x\s-]+")
 _NOT_IN_PROVENANCE = ("output", "resume", "overwrite", "frames", "tiles", "debug", "stats", "device", "changes")
-"""Options whose changes do not affect images that already exist."""
+"""Options that do not change the content of an image, or that the stamp stores in another form, such as --set."""
 
 
 @dataclass(frozen=True)
 class _ImageJob:
-    """Scene, cameras, renderer and writer of the images of one command."""
+    """What is needed to render the images of one command: scene, cameras, renderer and writer."""
 
     scene: ls.Scene
     shots: list[Shot]
@@ -120,13 +120,12 @@ class Render(ViewsCommand, FrameCommand):
             print(job.writer.legend)
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, and loads the scene, for ``--resume``, ``--tiles`` and farms.
+        """Checks options and files, loads the scene, and returns images or parts of them with functions to make them.
+
+        It is called for ``--resume``, ``--tiles`` and ``lumisplat farm render``.
 
         Args:
             report: Receives the progress.
-
-        Returns:
-            The images, or parts of images, as units of work.
 
         Raises:
             LumisplatError: An option or a file is wrong.
@@ -173,7 +172,7 @@ class Render(ViewsCommand, FrameCommand):
         )
 
     def _open(self, report: Report) -> _ImageJob:
-        """Checks options and files, and loads the scene."""
+        """Checks options and files, loads the scene, and starts the renderer."""
         writer = FrameWriter(self._layers.names, self.view)
         base = scene_settings(scene_file(self.scene))
         config = self.frame_config(base, {"aovs": (*base.aovs, *writer.aovs)})
@@ -200,7 +199,10 @@ class Render(ViewsCommand, FrameCommand):
         return _ImageJob(scene, shots, self.frame_source(renderer, self._warm_up(), blocks), writer)
 
     def _blocks(self, config: ls.RenderConfig, *, lit: bool) -> BlockViews | None:
-        """Returns the capture in blocks that is loaded view by view; None if scenes are loaded whole."""
+        """Returns a loader that, for each camera, loads the visible blocks of a folder of `lumisplat blocks`.
+
+        None if the scene is loaded whole, because it is no such folder or an option needs all of it.
+        """
         given = {
             "--aov deep": self._layers.deep,
             "--aov cryptomatte": self._layers.cryptomatte,
@@ -212,7 +214,7 @@ class Render(ViewsCommand, FrameCommand):
         return block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole, upright=self.viewpoint.upright)
 
     def _check_tiles(self) -> None:
-        """Raises a ConfigError if an option needs the whole image, so that ``--tiles`` cannot be combined with it."""
+        """Raises a ConfigError if ``--tiles`` is given with an option that needs the whole image, such as --denoise."""
         layers = self._layers
         given = {
             "--aov deep": layers.deep,
@@ -228,7 +230,7 @@ class Render(ViewsCommand, FrameCommand):
 
     @property
     def _parts(self) -> tuple[str, bool]:
-        """Grid of ``--tiles``, empty without tiles; and True if samples are rendered in blocks."""
+        """Value of ``--tiles``: the grid such as ``4x4``, or empty text; and True if samples are rendered in blocks."""
         parts = [part.strip() for part in self.tiles.split(",")]
         return ",".join(part for part in parts if part != "samples"), "samples" in parts
 
@@ -247,7 +249,7 @@ class Render(ViewsCommand, FrameCommand):
         return "camera" if self.camera_path is None else "frame"
 
     def _names(self, cameras: Sequence[ls.Camera]) -> list[str]:
-        """Returns the camera names in ``--frames``; empty if the option holds numbers."""
+        """Returns the camera names that ``--frames`` lists; empty if it lists numbers or is not given."""
         names = {camera.name for camera in cameras}
         parts = [part.strip() for part in self.frames.split(",") if part.strip()]
         is_named = any(
@@ -274,7 +276,10 @@ class Render(ViewsCommand, FrameCommand):
         return _summary(shots, frame)
 
     def _provenance(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
-        """Returns the values that determine all images, by name: version, device, settings, fingerprints of files."""
+        """Returns everything that the images depend on, as text by name: version, device, settings, file fingerprints.
+
+        A later run with ``--resume`` continues with existing images only if these values are equal.
+        """
         files = [
             *self.scene,
             *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
@@ -291,7 +296,7 @@ class Render(ViewsCommand, FrameCommand):
         }
 
     def _write(self, job: _ImageJob, frame: ls.Frame, shot: Shot) -> None:
-        """Writes an image with its mattes. Deep samples are written first, as an existing image counts as finished."""
+        """Writes an image with the layers of ``--aov``; deep samples first, as an existing image counts as finished."""
         if self._layers.deep:
             renderer = job.source.renderer
             camera = job.source.focused(job.scene, shot.camera)
@@ -301,18 +306,21 @@ class Render(ViewsCommand, FrameCommand):
         job.writer.write(frame, shot.path, mattes)
 
     def _mattes(self, scene: ls.Scene, camera: ls.Camera, renderer: ls.Renderer) -> ls.layers.Mattes | None:
-        """Returns the mattes of an image; None without ``--aov cryptomatte``."""
+        """Renders the Cryptomatte mattes of an image; None unless ``--aov`` lists cryptomatte."""
         if not self._layers.cryptomatte:
             return None
         return ls.layers.render_mattes(scene, camera, renderer.config, device=renderer.device)
 
     def _warm_up(self) -> WarmUp:
-        """Returns the warm-up of real-time images; ``--samples`` sets its number of frames."""
+        """Returns how many realtime frames are rendered before one is kept: ``--samples``, else the default."""
         frames = self.samples if isinstance(self.samples, int) else REALTIME_FRAMES
         return WarmUp(frames=frames, each=self.camera_path is None)
 
     def _cameras(self, file: Path | None) -> list[ls.Camera]:
-        """Returns the cameras of files or of ``--camera-path``; empty if the view has to be chosen from the scene."""
+        """Returns the cameras of ``--camera-path``, ``--cameras`` or the scene file; an empty list without any.
+
+        The caller then chooses a view of the scene.
+        """
         if self.camera_path is None:
             if self.cameras is None and not self.viewpoint.is_given:
                 warn_of_unused_cameras(self.scene)
@@ -321,7 +329,7 @@ class Render(ViewsCommand, FrameCommand):
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
-        """Returns the camera and the file of each image."""
+        """Returns the camera and the file path of each image to render."""
         names = self._names(cameras)
         if self._is_one_file and not names:
             cameras = [cameras[index] for index in frame_numbers("--frames", self.frames, len(cameras), self._unit)]
@@ -342,7 +350,7 @@ def _summary(shots: list[Shot], frame: ls.Frame) -> str:
 
 
 def _samples(frame: ls.Frame) -> str:
-    """Returns the number of samples and the noise as text; empty without a time or noise limit."""
+    """Returns samples and noise of a frame as text; empty unless a time or noise limit chose the sample count."""
     config, noise = frame.config, frame.stats.noise if frame.stats else None
     if config is None or (config.time_limit is None and config.noise is None) or not frame.samples:
         return ""

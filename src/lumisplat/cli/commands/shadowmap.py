@@ -80,7 +80,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
             print(f"casters: up is {up_name(casters.up_direction)}, {whose}")
 
     def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
-        """Writes the capture with the shadows; returns a summary."""
+        """Writes the capture darkened by the shadows of the casters; returns a summary line."""
         config = ls.config.AvatarLightingConfig(
             shadow_map=self._map_config(), relight=False, **without_none({"direct": self.direct})
         )
@@ -96,7 +96,11 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         return summary
 
     def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
-        """Writes the shadow map of one light; returns a summary."""
+        """Writes the deep shadow map of the only light as .npz; returns a summary line.
+
+        Raises:
+            ConfigError: There is not exactly one light, or ``--direct`` is given.
+        """
         if len(lights) != 1:
             raise ls.ConfigError(f"a map needs one light, got {len(lights)}: give one --light or a --sun")
         if self.direct is not None:

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 _CAPTURES = (".ply", ".spz")
 _POSES = ("transforms.json", "transforms_train.json", "sparse", "cameras.bin", "cameras.txt")
-"""Files with camera poses: if the folder has one of these, ``--poses`` does not search for poses."""
+"""Names of files and folders with camera poses; if the image folder has one, ``--poses`` estimates no poses."""
 _WORST = 5
-"""Number of the worst held-out views in the printed table."""
+"""Number of held-out views with the lowest PSNR that the printed table lists."""
 _RELIGHTABLE_WEIGHTS = (0.3, 0.05, 0.3)
-"""Weights of the losses ``flatness``, ``normals`` and ``depth_spread`` with ``--relightable``."""
+"""Default weights of the losses ``flatness``, ``normals`` and ``depth_spread`` if ``--relightable`` is given."""
 _CLIPPED_MAX = 0.02
-"""Fraction of visible Gaussians with a clipped albedo above which the command prints a line about them."""
+"""Fraction of visible Gaussians whose albedo is clipped at 1, above which a printed line warns about them."""
 
 
 @own_options_first
@@ -167,7 +167,12 @@ class Train(DeviceCommand):
         return result, self._materials(result, images, self._materials_config(), report)
 
     def print_results(self, result: ls.training.TrainResult, found: ls.inverse.FoundMaterials | None) -> None:
-        """Prints the results of the training and, if not None, of the materials."""
+        """Prints the results of a training, and the files of its materials.
+
+        Args:
+            result: Result of the training.
+            found: Materials of ``--relightable``; None without them.
+        """
         self._print_results(result)
         if found is not None:
             self._print_materials(found)
@@ -179,7 +184,7 @@ class Train(DeviceCommand):
         config: ls.config.MaterialsConfig,
         report: Report,
     ) -> ls.inverse.FoundMaterials | None:
-        """Finds and writes materials after a finished training; returns None without ``--relightable``."""
+        """Estimates and writes the materials after a finished training; returns None without ``--relightable``."""
         if not self.relightable or not result.is_finished:
             return None
         if result.cameras is not None:  # training has refined the poses
@@ -195,7 +200,7 @@ class Train(DeviceCommand):
         return found
 
     def _print_materials(self, found: ls.inverse.FoundMaterials) -> None:
-        """Prints the files of the materials, and a line if many albedos are clipped."""
+        """Prints the files of the materials, and a warning if more than `_CLIPPED_MAX` of the albedos are clipped."""
         environment = self.output.with_name(self.output.stem + ".environment.exr")
         print(
             f"{environment}: the environment; {self.output.with_suffix('.training')}/materials has images of "
@@ -224,11 +229,11 @@ class Train(DeviceCommand):
 
     @property
     def _is_random(self) -> bool:
-        """True if each step has a random background."""
+        """True if ``--background`` is ``random``: each training step has a different background."""
         return self.background.strip().lower() == "random"
 
     def _checked_background(self) -> str:
-        """Returns the background behind transparent training images, after checking it; black for ``random``."""
+        """Returns the background of ``--background`` for transparent training images, checked; black for ``random``."""
         if self._is_random:
             return "black"
         try:
@@ -257,14 +262,14 @@ class Train(DeviceCommand):
 
     @property
     def _same_command(self) -> str:
-        """Wording for messages of the command that continues the training."""
+        """How messages call the command that continues the training: the same, but without ``--overwrite``."""
         return "the same command without --overwrite" if self.overwrite else "the same command"
 
 
 _MATERIAL_VIEWS = 4
-"""Number of views for which a PNG shows the training image beside its materials."""
+"""Number of views for which a PNG shows the training image, albedo, roughness and normals side by side."""
 _ENVIRONMENT_PX = 16
-"""Magnification of the environment's pixels in its PNG."""
+"""Factor by which the PNG of the estimated environment enlarges its few pixels."""
 _ENVIRONMENT_MEAN = 0.3
 """Mean linear radiance to which the environment is scaled in its PNG. The environment's absolute brightness is
 arbitrary, and values above 1 are shown white."""
@@ -272,7 +277,14 @@ _SH_C0 = 0.28209479177387814
 
 
 def _write_materials(folder: Path, found: ls.inverse.FoundMaterials, images: ls.io.TrainingImages, device: str) -> None:
-    """Writes PNGs of views (held-out ones if any) and their materials, a PNG of the environment, and a JSON summary."""
+    """Writes what was estimated for ``--relightable``: PNGs of views and of the environment, and materials.json.
+
+    Args:
+        folder: Folder to write into; created if missing.
+        found: The estimated materials and environment.
+        images: Training images; the views are held-out ones if there are any.
+        device: Device that renders.
+    """
     import numpy as np
 
     make_folder(folder)
@@ -293,7 +305,7 @@ def _write_materials(folder: Path, found: ls.inverse.FoundMaterials, images: ls.
 
 
 def _layers(gaussians: ls.Gaussians) -> list[ls.Gaussians]:
-    """Returns three copies of the capture, coloured by albedo, roughness and normals."""
+    """Returns three unlit copies of a capture whose Gaussians show their albedo, roughness and normals as colours."""
     import numpy as np
 
     assert gaussians.albedo is not None and gaussians.roughness is not None and gaussians.normals is not None
@@ -308,7 +320,7 @@ def _colored(gaussians: ls.Gaussians, color: npt.NDArray[np.floating]) -> ls.Gau
 
 
 def _encoded(linear: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Converts linear values to sRGB values."""
+    """Converts linear values to sRGB-encoded values, without clipping."""
     import numpy as np
 
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1.0 / 2.4) - 0.055

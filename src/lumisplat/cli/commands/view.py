@@ -92,12 +92,12 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
             viewer.close()
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """Returns the given settings, changed by the command's options."""
+        """Returns render settings, the scene file's or the defaults, changed by the command's options."""
         return self.pipeline_config(base, self.light.changes())
 
 
 def _open_browser(url: str) -> bool:
-    """Opens the page in a browser; returns whether there is one."""
+    """Opens an address in the default browser; returns False if there is none."""
     try:
         return webbrowser.open(url)
     except webbrowser.Error:

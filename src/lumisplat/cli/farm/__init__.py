@@ -1,1 +1,1 @@
-"""Makes frames in this process, or with workers on this machine or on a Ray cluster."""
+"""Renders the frames of a command, in this process or by worker processes on this machine or a Ray cluster."""

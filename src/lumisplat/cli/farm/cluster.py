@@ -16,28 +16,28 @@ from typing import Any
 import lumisplat as ls
 
 LOCAL = "local"
-"""Address of a Ray instance that is started here for one job."""
+"""Value of ``--address`` that starts Ray on this machine for the time of one job."""
 _LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """Environment variable of Ray. With the value 0, Ray uses 127.0.0.1 as the address of its node, as on Windows and
 macOS, and opens its ports only there. Otherwise Ray opens its ports on all interfaces, whatever ``_node_ip_address`` is
 (measured with ``ss``, Ray 2.60)."""
 _CURRENT = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster")
-"""File in which Ray stores the address of the cluster that was started last on this machine."""
+"""File in which Ray stores the address of the cluster that was last started on this machine."""
 _CONNECT_S = 10.0
-"""Timeout of a test connection, seconds."""
+"""Timeout of the connection that tests whether a cluster's address answers, seconds."""
 _IP = re.compile(r"^\s*ip: (\S+)", re.MULTILINE)
 """Pattern of the IP address in Ray's error message about an actor."""
 _VERSIONS = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
 """Pattern of Ray's and Python's version, which occurs twice in Ray's message about a version mismatch."""
 _ERROR_CHARS = 300
-"""Largest number of characters of a Ray message that an error message repeats."""
+"""Largest number of characters of Ray's own error text that an error message quotes."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @contextlib.contextmanager
 def connected(address: str, cpus: int) -> Generator[Any]:
-    """Connects to a Ray cluster or starts Ray on this machine, logs a line about it, and yields the module ``ray``.
+    """Context that connects to a Ray cluster, or starts Ray on this machine, and yields the module ``ray``.
 
     If the process is already connected, that connection is used.
 
@@ -84,7 +84,7 @@ def usable_cores() -> int:
 
 
 def _load_ray() -> Any:
-    """Imports Ray without its usage reports.
+    """Imports Ray with its usage reports switched off.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -99,14 +99,14 @@ def _load_ray() -> Any:
 
 
 def _has_token() -> bool:
-    """Returns whether Ray would find an authentication token in the environment or in its default file."""
+    """True if an environment variable or Ray's default file holds the authentication token of a Ray cluster."""
     named = os.environ.get("RAY_AUTH_TOKEN_PATH")
     path = Path(named) if named else Path.home() / ".ray" / "auth_token"
     return "RAY_AUTH_TOKEN" in os.environ or path.is_file()
 
 
 def _check_reachable(address: str) -> None:
-    """Raises a ConfigError if nothing listens at an address; Ray itself would keep trying for minutes.
+    """Raises a ConfigError if nothing listens at the value of ``--address``; Ray itself would retry for minutes.
 
     If a cluster listens only on 127.0.0.1, sets an environment variable that makes Ray connect to that address instead
     of this machine's network address.
@@ -148,7 +148,7 @@ def _listens(host: str, port: int) -> bool:
 
 
 def _connection_problem(error: BaseException) -> str:
-    """Returns the reason why a cluster cannot be used, taken from an error of Ray."""
+    """Returns why a Ray cluster cannot be used, as one line, from the exception that Ray raised."""
     if "Version mismatch" in str(error) and len(sides := _VERSIONS.findall(str(error))) == 2:
         there, here = (f"Ray {ray} with Python {python}" for ray, python in sides)
         return f"the cluster runs {there}, but this process runs {here}: install the same versions on both"
@@ -156,7 +156,7 @@ def _connection_problem(error: BaseException) -> str:
 
 
 def actor_failure(error: BaseException) -> str:
-    """Returns a short reason why a Ray actor failed, taken from an error of Ray."""
+    """Returns why a Ray actor (worker process) was lost, as a short text, from the exception that Ray raised."""
     text, cause = str(error), getattr(error, "cause", None)
     where = f" on {found[1]}" if (found := _IP.search(text)) else ""
     if isinstance(cause, BaseException):  # an uncaught error of the worker's code

@@ -1,4 +1,4 @@
-"""Assigns frames to workers on Ray until each frame exists or has failed.
+"""The driver of ``lumisplat farm``: assigns frames to worker processes until each frame exists or has failed.
 
 Ray starts the workers, gives each its own GPU if there are any, and reports when a worker ends. The driver replaces
 lost workers, and tries failed frames once more. Several failures in a row, without a finished frame between them, end
@@ -33,13 +33,13 @@ _log = logging.getLogger("lumisplat")
 CORES = 4
 """Default number of CPU cores of a worker."""
 TRIES = 2
-"""Attempts for each frame: a frame that ends two workers would probably end a third."""
+"""Number of times that a frame is tried: one that ends two workers would probably end a third."""
 FAILURES_IN_A_ROW = 4
-"""Number of failures in a row, over all frames, after which the job ends."""
+"""Number of failures, of any frames, without a finished frame between them, after which the job gives up."""
 STARTS_IN_A_ROW = 2
-"""Number of failed worker starts in a row after which lost workers are no longer replaced."""
+"""Number of workers that end while they start, one after the other, after which no more are started."""
 _WAIT_S = 1.0
-"""Longest wait for a worker's answer before the time limits of all workers are checked, seconds."""
+"""Interval at which the driver checks the time limits of frames if no worker answers, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +59,11 @@ class FarmOptions:
 
 
 FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]
-"""Type of a command's field that shows `FarmOptions` as a group in the help."""
+"""Type of a command field whose `FarmOptions` become options of the command, in a help group of their own."""
 
 
 class FarmCommand(FrameMaker, Protocol):
-    """Command whose frames are made by workers."""
+    """Interface of a command whose frames worker processes can make."""
 
     @property
     def output(self) -> Path | None:
@@ -87,7 +87,7 @@ class FarmCommand(FrameMaker, Protocol):
 
 
 def run_farm(command: FarmCommand, *, overwrite: bool, video: Path | None) -> None:
-    """Makes the missing frames of a command with workers, then the video, and prints a summary.
+    """Makes the missing frames of a command with worker processes, then the video, and prints a summary.
 
     Args:
         command: The command.
@@ -118,21 +118,21 @@ def run_farm(command: FarmCommand, *, overwrite: bool, video: Path | None) -> No
 
 @dataclass
 class _Task:
-    """Current task of a worker."""
+    """What a worker is doing: loading the scene, or making a frame."""
 
     worker: Any
     frame: int | None
-    """Number of the frame; None while the worker loads the scene."""
+    """Number of the frame that the worker makes; None while it loads the scene."""
     since: float
-    """Start time of the task, seconds of `Driver.clock`."""
+    """Time at which the worker began, seconds of `Driver.clock`."""
 
 
 @dataclass
 class Driver:
-    """Makes the frames of one `run_farm` call by assigning them to workers."""
+    """Runs one job of ``lumisplat farm``: starts worker processes, assigns frames to them, and replaces lost ones."""
 
     ray: Any
-    """Module ``ray``, connected to a cluster."""
+    """The module ``ray``, connected to a cluster."""
     order: Order
     options: FarmOptions
     device: str
@@ -143,24 +143,24 @@ class Driver:
 
     def __post_init__(self) -> None:
         self._frames: FrameList | None = None
-        """Frames of the command, as the first worker that is ready reports them; None before."""
+        """Frames of the command, which the first worker that has loaded the scene reports; None until then."""
         self._wanted = 0
         self._waiting: deque[int] = deque()
         self._tasks: dict[Any, _Task] = {}
         self._idle: list[Any] = []
         self._done: dict[int, float] = {}
-        """Seconds that a worker took for each finished frame, by frame number; 0 for a frame that already existed."""
+        """Time that a worker took for each finished frame, seconds, by frame number; 0 if the frame already existed."""
         self._failed: dict[int, BaseException] = {}
         self._tries: dict[int, int] = {}
         self._lost = self._failures = self._bad_starts = 0
         self._refusals: list[BaseException] = []
-        """Errors, not yet logged, of workers that could not start. If no worker can start, the last one is the job's
-        error."""
+        """Errors of workers that could not load the scene, not logged yet. They become warnings once another worker
+        can; if none can, the last one ends the job."""
         self._refusal: BaseException | None = None
         self._logged: set[str] = set()
 
     def run(self) -> str:
-        """Makes the missing frames, then the video.
+        """Makes the missing frames with worker processes, then the video.
 
         Returns:
             Summary lines about the frames and their time.
@@ -192,7 +192,7 @@ class Driver:
         return self._summary(begun)
 
     def _resources(self) -> tuple[int, dict[str, float], int]:
-        """Returns the number of workers, and for each worker its Ray resources and its number of CPU threads.
+        """Returns the number of workers, the Ray resources that each reserves, and its number of CPU threads.
 
         A worker reserves one GPU if there are any, else its CPU cores. In a cluster, workers that do not fit wait for
         new nodes; on one machine, several workers may share a GPU.
@@ -207,7 +207,11 @@ class Driver:
         return count, {"num_gpus": share, "num_cpus": 1} if gpus else {"num_cpus": cores}, cores
 
     def _summary(self, begun: float) -> str:
-        """Returns summary lines of the finished job; raises the job's error if frames are missing."""
+        """Returns summary lines if all frames exist; raises the error of the job otherwise.
+
+        Args:
+            begun: Start time of the job, seconds of `Driver.clock`.
+        """
         why = self._refusal or ls.DeviceError(
             "no worker could be started" if self._frames is None else "all workers were lost"
         )
@@ -234,7 +238,7 @@ class Driver:
 
     @property
     def _mean_seconds(self) -> float:
-        """Mean time that one worker takes for a frame, seconds; 0 before a frame was rendered."""
+        """Mean time that one worker takes for a frame, seconds; 0 until a frame has been made."""
         made = [seconds for seconds in self._done.values() if seconds > 0.0]
         return sum(made) / len(made) if made else 0.0
 
@@ -248,7 +252,11 @@ class Driver:
         self._tasks[worker.open.remote()] = _Task(worker, None, self.clock())
 
     def _receive(self, ref: Any) -> None:
-        """Handles the answer of a worker, or replaces the worker if it was lost."""
+        """Handles a worker's result, scene loaded or frame made; replaces the worker if its process was lost.
+
+        Args:
+            ref: Ray reference of the finished call.
+        """
         task = self._tasks.pop(ref)
         try:
             answer: Answer = self.ray.get(ref)
@@ -266,7 +274,7 @@ class Driver:
         self._assign_frames()
 
     def _worker_ready(self, worker: Any, answer: Answer) -> None:
-        """Accepts a worker that has loaded the scene, unless its frames differ from those of the first worker."""
+        """Marks a worker that has loaded the scene as idle; refuses it if that failed or its frames differ."""
         if answer.frames is None:
             assert answer.error is not None
             self._refuse(worker, answer.error)
@@ -284,7 +292,7 @@ class Driver:
         self._log_refusals()
 
     def _begin(self, frames: FrameList) -> None:
-        """Prepares the folder and the list of missing frames, once the first worker has loaded the scene."""
+        """Takes over the frames that the first ready worker reports; prepares their folder and queues missing ones."""
         self.report("starting", 1.0)
         if self.video is not None:
             check_video(self.video, frames.fps or 0.0)
@@ -298,7 +306,7 @@ class Driver:
             )
 
     def _refuse(self, worker: Any, error: BaseException) -> None:
-        """Ends a worker that could not start; the other workers continue."""
+        """Ends a worker that could not load the scene, and keeps its error; the other workers continue."""
         self.ray.kill(worker)
         self._refusal = error
         self._refusals.append(error)
@@ -306,14 +314,17 @@ class Driver:
             self._log_refusals()
 
     def _log_refusals(self, reported: str = "") -> None:
-        """Logs why workers could not start, except the reason ``reported``, which is the job's error."""
+        """Logs why workers could not load the scene; skips the reason ``reported``, which the job's error repeats."""
         for reason in map(one_line, self._refusals):
             if reason != reported:
                 self._log_once(f"a worker could not start: {reason}")
         self._refusals.clear()
 
     def _frame_done(self, worker: Any, frame: int, answer: Answer) -> None:
-        """Records a finished or failed frame, and marks its worker as idle."""
+        """Records that a worker has made a frame or failed to, and marks the worker as idle.
+
+        If the job's first frame fails by a mistake that all frames share, raises its error.
+        """
         self._idle.append(worker)
         if answer.error is None:
             self._failures = 0
@@ -325,7 +336,13 @@ class Driver:
             self._count_failure(frame, answer.error)
 
     def _replace_worker(self, task: _Task, how: str, error: BaseException | None = None) -> None:
-        """Replaces a lost worker, and counts its frame as failed."""
+        """Starts a worker in place of a lost one, whose frame counts as a failed try.
+
+        Args:
+            task: Task of the lost worker.
+            how: Reason for the log.
+            error: Error of the frame if all tries fail; None makes one from the reason.
+        """
         self.ray.kill(task.worker)
         self._lost += 1
         unit = "frame" if self._frames is None else self._frames.unit
@@ -339,7 +356,7 @@ class Driver:
             self._start()
 
     def _end_hung(self) -> None:
-        """Ends and replaces workers whose frame takes longer than ``--frame-timeout``."""
+        """Ends and replaces each worker whose frame has taken longer than ``--frame-timeout``."""
         if (timeout := self.options.frame_timeout) is None:
             return
         limit = seconds_of("--frame-timeout", timeout)
@@ -351,7 +368,10 @@ class Driver:
         self._assign_frames()
 
     def _count_failure(self, frame: int, error: BaseException) -> None:
-        """Schedules a failed frame for another attempt, or gives it up after `TRIES` attempts."""
+        """Puts a failed frame back into the queue, or marks it as failed after `TRIES` tries.
+
+        After `FAILURES_IN_A_ROW` failures, all waiting frames are marked as failed.
+        """
         self._failures += 1
         self._tries[frame] = self._tries.get(frame, 0) + 1
         if self._tries[frame] < TRIES:
@@ -365,15 +385,15 @@ class Driver:
             self._waiting.clear()
 
     def _assign_frames(self) -> None:
-        """Assigns a frame to each idle worker."""
+        """Gives each idle worker a frame, as long as a frame can start."""
         while self._idle and (frame := self._next_frame()) is not None:
             worker = self._idle.pop(0)
             self._tasks[worker.make.remote(frame)] = _Task(worker, frame, self.clock())
 
     def _next_frame(self) -> int | None:
-        """Removes and returns the first waiting frame whose prerequisite frames exist; None if no frame can start.
+        """Takes the first frame from the queue that needs no unfinished frame; None if none can start now.
 
-        Frames whose prerequisite has failed fail, too.
+        A frame that needs a failed frame is marked as failed, too.
         """
         if not self._waiting or self._frames is None or not self._frames.needs:
             return self._waiting.popleft() if self._waiting else None
@@ -389,7 +409,7 @@ class Driver:
         return None
 
     def _report_progress(self) -> None:
-        """Reports how many frames are finished or failed, and the mean time of a frame."""
+        """Reports the number of finished and failed frames, and the mean time of a frame."""
         if self._wanted == 0 or self._frames is None:
             return
         ended = len(self._done) + len(self._failed)
@@ -398,7 +418,7 @@ class Driver:
         self.report(f"{self._frames.unit}s, {ended} of {self._wanted}{cost}{failed}", ended / self._wanted)
 
     def _log_once(self, line: str) -> None:
-        """Logs a line, unless another worker has sent it before."""
+        """Logs a warning of a worker, unless a worker has sent the same line before."""
         if line not in self._logged:
             self._logged.add(line)
             _log.warning("%s", line)

@@ -1,4 +1,4 @@
-"""Error about failed frames. Other error modules import NumPy, which the command line's help must not need."""
+"""The error about failed frames; a module of its own because the command line's help must not import NumPy."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import lumisplat as ls
 
 
 class FramesMissingError(ls.LumisplatError):
-    """Raised if some frames failed; the same command tries these frames again."""
+    """Raised if some frames of a command failed; running the same command again tries only these frames."""
 
     status = 3
-    """Exit status of the process. Schedulers can repeat a command with this status; status 2 means a mistake that
+    """Exit status of the process: 3 tells schedulers that a repetition may succeed; status 2 means a mistake that
     would recur."""

@@ -1,4 +1,4 @@
-"""Frames as units of work: which frames are wanted, where they are written, and how to make them in this process."""
+"""The frames of a command as a job: which are wanted, where they are written, and functions that make them."""
 
 from __future__ import annotations
 
@@ -14,32 +14,33 @@ from lumisplat.cli.output.console import FrameProgress, Report, counted, one_lin
 from lumisplat.cli.output.frame_folder import FrameFolder, check_video, write_video
 
 NAMED_REASONS = 3
-"""Largest number of failure reasons in an error message, each with the first frame that it affects."""
+"""Largest number of different errors that the message about failed frames quotes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameList:
-    """Frames that a command has to make."""
+    """The frames that a command has to make: their folder, their numbers, and what they depend on."""
 
     folder: FrameFolder
-    """Folder of the frames."""
+    """Folder into which the frames are written."""
     provenance: dict[str, str]
-    """Values that determine the frames, by name, such as settings and fingerprints of files."""
+    """All settings and file fingerprints that the frames depend on, as text by name."""
     wanted: tuple[int, ...]
     """Numbers of the frames to make."""
     fps: float | None = None
-    """Frames per second of an animation; None for single images."""
+    """Frames per second of the animation; None if the frames are single images."""
     in_sequence: bool = False
-    """True if each frame depends on earlier frames."""
+    """True if a frame depends on the one before, as in the realtime pipeline, so that workers cannot share frames."""
     needs: Mapping[int, tuple[int, ...]] = field(default_factory=dict[int, tuple[int, ...]])
-    """Numbers of the prerequisite frames that a frame is made from, by the frame's number."""
+    """For each frame that is merged from others, such as sample blocks: the numbers of the frames that must exist
+    first."""
     unit: str = "frame"
-    """Noun for one frame in messages, such as ``view``."""
+    """What messages call a frame, such as ``view``."""
     resume_hint: str = "without --overwrite"
-    """How to change the command so that it continues an interrupted run, for messages."""
+    """What to change in the command line to continue an interrupted run that was told to overwrite, for messages."""
 
     def begin(self, overwrite: bool) -> list[int]:
-        """Prepares the folder, and returns the numbers of the missing frames.
+        """Creates the folder and its stamp, and returns the numbers of the frames that do not exist yet.
 
         Raises:
             ConfigError: The folder has frames of another provenance.
@@ -49,13 +50,22 @@ class FrameList:
         return [index for index in self.wanted if not self.folder.is_finished(index)]
 
     def count_line(self, overwrite: bool = False) -> str:
-        """Returns text that says how many frames exist and which command continues."""
+        """Returns a text that says how many frames exist, and how to run the command again to continue.
+
+        Args:
+            overwrite: True if the command was told to overwrite; it must be told to resume instead.
+        """
         count = sum(map(self.folder.is_finished, self.wanted))
         again = f"the same command {self.resume_hint}" if overwrite else "the same command"
         return f"{self.folder.folder} holds {count} of {counted(len(self.wanted), self.unit)}; {again} continues"
 
     def missing_error(self, failed: Mapping[int, BaseException], overwrite: bool) -> ls.LumisplatError:
-        """Returns a `FramesMissingError` with the failed frames, their reasons, and how to continue."""
+        """Returns the error about failed frames, with their reasons and how to continue.
+
+        Args:
+            failed: Error of each failed frame, by frame number.
+            overwrite: True if the command was told to overwrite existing frames.
+        """
         from lumisplat.cli.farm.failed_frames import FramesMissingError
 
         reasons: dict[str, list[int]] = {}
@@ -74,21 +84,22 @@ class FrameList:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameJob:
-    """Frames of a command that are ready to be made: options are checked, and the scene is loaded."""
+    """Frames of a command, with functions that render and write them; options are checked, the scene is loaded."""
 
     frames: FrameList
     render: Callable[[int, Report], Any]
-    """Renders the frame of a number: a `lumisplat.Frame`, or the unit's own result, such as a block of samples."""
+    """Renders the frame of a number. Returns a `lumisplat.Frame`, or what `write` accepts instead, such as a block of
+    samples."""
     write: Callable[[Any, int], None]
-    """Writes a rendered frame, given its number."""
+    """Writes what `render` has returned to the file of the frame number."""
     summarise: Callable[[Any, int], None] | None = None
-    """Prints statistics, given the last frame and the number of frames."""
+    """Prints statistics, given the last frame and the number of frames that were made; None prints nothing."""
 
     def make(self, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart | None:
-        """Renders and writes a frame, unless its file exists.
+        """Renders and writes the frame of a number, unless its file exists.
 
         Returns:
-            The frame; None if its file already exists, as another process may have written it.
+            The result of `render`; None if the file already exists, as another process may have written it.
 
         Raises:
             ConfigError: Another run with other settings has started in the folder.
@@ -117,7 +128,7 @@ class FrameJob:
 
 
 class FrameMaker(Protocol):
-    """Command that makes a set of frames."""
+    """Interface of a command that makes frames, one by one."""
 
     def open_frames(self, report: Report) -> FrameJob:
         """Checks options and files, loads the scene, and returns the frames as a job."""
@@ -125,7 +136,10 @@ class FrameMaker(Protocol):
 
 
 def is_mistake(error: BaseException, frames: FrameList) -> bool:
-    """Returns whether an error of the first frame would recur in all frames: a wrong setting, file or package."""
+    """True if a frame's error would recur in all frames: a wrong setting, missing package or unreadable input file.
+
+    Errors of files in the folder of the frames do not count.
+    """
     if isinstance(error, ls.FormatError):
         return not frames.folder.holds(error.path)
     return isinstance(error, ls.ConfigError | ls.SceneError | ls.errors.MissingExtraError)
@@ -161,7 +175,19 @@ def make_frames(job: FrameJob, report: Report, *, overwrite: bool, video: Path |
 
 
 def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool, fewer: str) -> None:
-    """Makes the missing frames in order; the first error ends the run."""
+    """Makes the missing frames in order of their numbers; an error ends the run.
+
+    Args:
+        job: Frames to make.
+        missing: Numbers of the missing frames.
+        report: Receives the progress.
+        overwrite: True if the command was told to overwrite existing frames, for messages.
+        fewer: Options that reduce the number of frames, as typed, for an advice in the log.
+
+    Raises:
+        FramesMissingError: A frame failed.
+        LumisplatError: A setting or the scene is wrong, which the first frame shows.
+    """
     if not missing:
         return
     unit = job.frames.unit
@@ -182,7 +208,7 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
 
 
 def finish_frames(frames: FrameList, made: int, video: Path | None, report: Report) -> str:
-    """Joins the tiles of images, or writes the video, once all frames exist; returns summary lines.
+    """Completes a command whose frames all exist: joins image parts, or writes the video. Returns summary lines.
 
     Args:
         frames: The frames, all of which exist.

@@ -1,7 +1,7 @@
-"""Splits images into parts that are rendered and stored one by one: tiles, blocks of samples, or blocks of each tile.
+"""Divides large images into parts that are rendered and stored one by one: tiles, blocks of samples, or both.
 
-Tiles are joined once all tiles of an image exist. Merging the blocks of samples to an image or a tile is a unit of work
-of its own, which needs these blocks.
+A tile is a window of the image; tiles are joined once all exist. A block is a range of the samples of all pixels of an
+image or tile. Merging the blocks of an image or tile is a part of its own, made after them.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from lumisplat.cli.output.images import Shot
 
 AUTO = "auto"
 AUTO_PIXELS = 2**22
-"""Approximate number of pixels of a tile with ``--tiles auto``: those of a frame of 2048 x 2048."""
+"""Approximate number of pixels of a tile with ``--tiles auto``, that of a frame of 2048 x 2048."""
 _GRID = re.compile(r"(\d+)x(\d+)")
 
 
 @dataclass(frozen=True)
 class SplitImage:
-    """An image, and the files of its tiles by their pixel windows. Without tiles, the image is written as a whole."""
+    """Path of an image, and the file of each of its tiles by `Camera.window`, pixels; no tiles if rendered whole."""
 
     path: Path
     tiles: dict[tuple[int, int, int, int], Path] = field(default_factory=dict[tuple[int, int, int, int], Path])
 
     @property
     def is_whole(self) -> bool:
-        """True if the image or all of its tiles exist."""
+        """True if the image exists or can be joined, because all its tiles exist."""
         return self.path.is_file() or (bool(self.tiles) and all(map(Path.is_file, self.tiles.values())))
 
     def join(self) -> None:
-        """Joins the tiles to the image, unless the image already exists.
+        """Joins the tiles to the image file, unless that exists already.
 
         Raises:
             FormatError: A tile cannot be read, or the image cannot be written.
@@ -54,22 +54,23 @@ class SplitImage:
 
 @dataclass(frozen=True)
 class PartFolder(FrameFolder):
-    """Folder of images that are made from parts; frame numbers count the parts of all images."""
+    """Folder of images that are made from parts (tiles or sample blocks); each part has a number and a file."""
 
     images: tuple[SplitImage, ...] = ()
     holders: tuple[tuple[Path, ...], ...] = ()
-    """Files of the tile and the image that contain each part; once one of these exists, the part is not needed."""
+    """For each part, the files that are made from it, its tile or image; a part need not be made once one of them
+    exists."""
 
     def is_finished(self, index: int) -> bool:
-        """Returns whether the file of a part exists, or a file that contains the part."""
+        """True if the part with a number need not be made: its file exists, or that of its tile or image does."""
         return any(path.is_file() for path in (self.path(index), *self.holders[index]))
 
     def tidy(self, index: int) -> None:
-        """Removes the parts from which a finished tile or image was made."""
+        """Removes the files of the parts from which the part with a number, a tile or image, was made."""
         _remove_parts(self._parts.get(self.path(index), []))
 
     def join(self, report: Report) -> list[Path]:
-        """Joins the images whose tiles all exist, removes their parts, and returns all existing images.
+        """Joins each image whose tiles all exist, removes its parts, and returns the paths of all existing images.
 
         Raises:
             FormatError: Raised by `SplitImage.join`.
@@ -84,7 +85,7 @@ class PartFolder(FrameFolder):
 
     @cached_property
     def _parts(self) -> dict[Path, list[Path]]:
-        """Files of the parts that each tile or image is made from."""
+        """Files of the parts from which each tile or image is made, by the file of the tile or image."""
         parts: dict[Path, list[Path]] = {}
         for index, holders in enumerate(self.holders):
             for holder in holders:
@@ -97,22 +98,25 @@ class PartFolder(FrameFolder):
 
 @dataclass(frozen=True)
 class Parts:
-    """Units of work of a command's images: images or tiles, each preceded by the blocks of its samples, if any."""
+    """The numbered parts that a command's images are made from: whole images or tiles, or blocks of their samples.
+
+    With blocks, each image or tile has one part per block, and then a part that merges them.
+    """
 
     folder: PartFolder
     shots: tuple[Shot, ...]
-    """Camera and file of each image or tile."""
+    """Camera and file of each image or, if images are cut, of each tile."""
     wanted: tuple[int, ...]
-    """Numbers of the units of work that make the wanted images."""
+    """Numbers of the parts from which the wanted images are made."""
     blocks: tuple[range, ...] = ()
-    """Range of sample numbers of each block, equal for all shots; empty if samples are not split."""
+    """Range of sample indices of each block, the same for all images and tiles; empty if samples are not divided."""
 
     @staticmethod
     def of(shots: list[Shot], wanted: tuple[int, ...], output: Path, stamp: str) -> Parts:
-        """Returns units of work that each render a whole image.
+        """Returns one part for each image, which renders the whole image.
 
         Args:
-            shots: The images.
+            shots: Camera and file of each image.
             wanted: Numbers of the images to make.
             output: Value of ``-o``: a folder, or the file of the only image.
             stamp: File name of the stamp in a folder; a single image's stamp begins with the image's stem.
@@ -124,7 +128,7 @@ class Parts:
         return Parts(PartFolder(folder, "", name, names, images, ((),) * len(shots)), tuple(shots), wanted)
 
     def cut(self, grid: str, *, has_layers: bool) -> Parts:
-        """Cuts images into tiles.
+        """Returns the parts after cutting each image into tiles; each tile becomes a part.
 
         Args:
             grid: ``auto``, or columns and rows such as ``4x4``.
@@ -154,7 +158,10 @@ class Parts:
         )
 
     def split(self, blocks: list[range]) -> Parts:
-        """Splits the samples of each image or tile into blocks; each block becomes a unit of work."""
+        """Returns the parts after dividing the samples of each image or tile into blocks of the given sample indices.
+
+        Each block becomes a part, followed by a part that merges the blocks of the image or tile.
+        """
         units: list[list[Path]] = []
         holders: list[tuple[Path, ...]] = []
         for shot, wholes in zip(self.shots, self.folder.holders, strict=True):
@@ -164,7 +171,12 @@ class Parts:
         return replace(self._divided(units, tuple(holders)), blocks=tuple(blocks))
 
     def _divided(self, units: list[list[Path]], holders: tuple[tuple[Path, ...], ...]) -> Parts:
-        """Returns the units of work after each unit has been replaced by several, given the files of these."""
+        """Returns this object with each part replaced by several.
+
+        Args:
+            units: For each present part, the files of the parts that replace it.
+            holders: For each new part, the files that are made from it, as in `PartFolder.holders`.
+        """
         names = tuple(str(path.relative_to(self.folder.folder)) for files in units for path in files)
         ends = list(accumulate(map(len, units), initial=0))
         wanted = tuple(number for one in self.wanted for number in range(ends[one], ends[one + 1]))
@@ -172,16 +184,22 @@ class Parts:
 
     @property
     def needs(self) -> dict[int, tuple[int, ...]]:
-        """Numbers of the units that render an image's or tile's sample blocks, by the number of the merging unit."""
+        """For each part that merges sample blocks, by number: the numbers of the parts that render these blocks."""
         count = len(self.blocks)
         return {end: tuple(range(end - count, end)) for end in self.wanted if count and end % (count + 1) == count}
 
     def shot(self, index: int) -> Shot:
-        """Returns the image or tile to which a unit belongs."""
+        """Returns camera and file of the image or tile that the part with a number belongs to."""
         return self.shots[index // (len(self.blocks) + 1)]
 
     def make(self, source: FrameSource, scene: ls.Scene, index: int, report: Report) -> ls.Frame | ls.farm.SamplePart:
-        """Renders a block of samples, merges the blocks of an image or tile, or renders an image or tile whole.
+        """Makes the part of a number: renders an image, tile or sample block, or merges blocks to an image or tile.
+
+        Args:
+            source: Renders the frames.
+            scene: The scene.
+            index: Number of the part.
+            report: Receives the progress.
 
         Raises:
             ConfigError: The render settings do not allow samples to be split.
@@ -198,13 +216,13 @@ class Parts:
         return source.finished(ls.farm.merge_samples(source.renderer, scene, camera, self._loaded(index)))
 
     def _loaded(self, index: int) -> Iterator[ls.farm.SamplePart]:
-        """Loads the sample blocks of an image or tile one by one, given the number of the unit that merges them."""
+        """Loads the stored sample blocks that the merging part with number ``index`` needs, one by one."""
         for number in range(index - len(self.blocks), index):
             yield ls.farm.SamplePart.load(self.folder.path(number))
 
 
 def _check_format(path: Path, *, has_layers: bool) -> None:
-    """Raises a ConfigError if an image's file format does not support tiles."""
+    """Raises a ConfigError if tiles cannot be joined to a file of this format, with or without layers."""
     if path.suffix.lower() not in (".png", ".exr"):
         raise ls.ConfigError(f"{path}: --tiles needs .png or .exr")
     if has_layers and path.suffix.lower() == ".png":
@@ -212,7 +230,12 @@ def _check_format(path: Path, *, has_layers: bool) -> None:
 
 
 def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
-    """Returns the cameras of the tiles of an image."""
+    """Returns a camera for each tile of an image; its window is the tile.
+
+    Args:
+        camera: Camera of the whole image.
+        grid: ``auto``, or columns and rows such as ``4x4``.
+    """
     if grid == AUTO:  # full-width tiles: joining needs no more memory than rendering one
         return camera.windows(1, -(-camera.width * camera.height // AUTO_PIXELS))
     numbers = _GRID.fullmatch(grid)
@@ -225,7 +248,7 @@ def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:
 
 
 def _remove_parts(parts: list[Path]) -> None:
-    """Removes the files of parts, and folders that become empty."""
+    """Removes the files of tiles or sample blocks, and the folders that are empty afterwards."""
     for part in parts:
         with suppress(OSError):
             part.unlink(missing_ok=True)

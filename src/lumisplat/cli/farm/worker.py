@@ -1,4 +1,4 @@
-"""Worker of a farm: a Ray actor that loads the scene once, then makes frames."""
+"""Worker process of ``lumisplat farm``: a Ray actor that loads the scene once and then makes frames."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, FrameMaker, is_mistake
 
 THREADS_VARIABLE = "LUMISPLAT_THREADS"
-"""Environment variable that sets a process's number of CPU threads."""
+"""Environment variable that limits the number of CPU threads of a process."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """Command and settings that the driver sends to each worker."""
+    """What the driver sends to each new worker: the command, the working folder and options."""
 
     command: FrameMaker
-    """Command whose frames are made."""
+    """Command whose frames the worker makes."""
     folder: str
-    """Working folder, to which relative paths of the command refer."""
+    """Working folder of the driver; relative paths in the command refer to it."""
     debug: bool = False
     """True if workers print their errors with tracebacks."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Answer of a worker that has loaded the scene or made a frame."""
+    """Result of a worker's call: the scene was loaded, or a frame was made or failed."""
 
     lines: list[str]
-    """Warnings that the worker has logged since its last answer."""
+    """Warnings that the worker has logged since its last result."""
     host: str
     """Name of the worker's machine."""
     frames: FrameList | None = None
-    """Frames of the command, if the task was to load the scene; None otherwise."""
+    """Frames of the command if the call loaded the scene; None if it failed or made a frame."""
     error: BaseException | None = None
-    """Error of the task; None if it succeeded."""
+    """Error of the call; None if it succeeded."""
     is_mistake: bool = False
-    """True if the error would recur in all frames."""
+    """True if the error would recur in all frames, such as a wrong setting."""
     seconds: float = 0.0
-    """Time to make the frame, seconds; 0 if the frame already existed."""
+    """Time that the frame took, seconds; 0 if it already existed."""
 
 
 class Worker:
-    """Makes frames of a command.
+    """Ray actor that makes frames of a command.
 
     Args:
         order: Command and settings.
@@ -68,7 +68,7 @@ class Worker:
         log.propagate = False
 
     def open(self) -> Answer:
-        """Loads the scene; answers with the command's frames."""
+        """Loads the scene of the command; returns the command's frames or the error."""
         try:
             if not Path(self._order.folder).is_dir():
                 what = "is no folder on a worker's machine: scene and frames need a folder that all machines see"
@@ -80,7 +80,7 @@ class Worker:
         return self._answer(frames=self._job.frames)
 
     def make(self, frame: int) -> Answer:
-        """Makes a frame; answers with its time."""
+        """Makes the frame of a number; returns its time or the error."""
         assert self._job is not None
         begun = time.perf_counter()
         try:
@@ -115,16 +115,16 @@ class Worker:
 
 
 class _Collected(logging.Handler):
-    """Log handler that collects a worker's warnings for the driver, which logs equal lines of all workers once."""
+    """Log handler that collects a worker's warnings, to be sent to the driver with the next result."""
 
     def __init__(self, lines: list[str]) -> None:
         super().__init__(logging.WARNING)
         self._lines = lines
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Stores a line."""
+        """Appends the text of a log record to the collected warnings."""
         self._lines.append(record.getMessage())
 
 
 def _no_progress(label: str, fraction: float) -> None:
-    """Discards the progress of single frames, which the driver does not show."""
+    """Progress function that does nothing: the driver counts frames only."""

@@ -1,1 +1,1 @@
-"""Reads the input of commands: arguments, numbers, and files of a scene."""
+"""Reads what users pass to commands: arguments, numbers, and the files of a scene."""

@@ -30,7 +30,7 @@ _TYPED_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*,?", re.IGNORECASE)
 
 
 def joined_numbers(args: Sequence[str]) -> list[str]:
-    """Joins the numbers after an option to one argument: ``--at 1 2 3`` and ``--at -1,2,3`` become ``--at=1,2,3``.
+    """Joins the numbers that follow an option: both ``--at 1 2 3`` and ``--at 1,2,3`` become ``--at=1,2,3``.
 
     Options of several numbers thus accept commas or spaces, and numbers that begin with a minus.
     """
@@ -52,7 +52,7 @@ def joined_numbers(args: Sequence[str]) -> list[str]:
 
 
 def gathered_positionals(args: Sequence[str], command: type[Any]) -> list[str]:
-    """Returns the arguments of a command with all files moved to the position of the first file, as tyro requires.
+    """Moves all file arguments of a command to the position of the first one, because tyro requires them together.
 
     Args:
         args: Arguments after the name of the command, as returned by `joined_numbers`.
@@ -77,7 +77,7 @@ def gathered_positionals(args: Sequence[str], command: type[Any]) -> list[str]:
 
 
 def _values(command: Any) -> Iterator[tuple[str, float]]:
-    """Yields each option of a command that does not take exactly one value, and the number of its values."""
+    """Yields (option, number of values) for each option that does not take exactly one: 0 for flags, inf for lists."""
     yield from (("--help", 0.0), ("-h", 0.0))
     for field in fields(command):
         kind = str(field.type)
@@ -90,7 +90,7 @@ def _values(command: Any) -> Iterator[tuple[str, float]]:
 
 
 def options_of(command: type[Any]) -> list[str]:
-    """Returns the options of a command's dataclass, such as ``--tone-map``."""
+    """Returns all options of a command class as typed, such as ``--tone-map``."""
     found: list[str] = []
     for field in fields(command):
         group = _group(field)
@@ -103,28 +103,28 @@ def options_of(command: type[Any]) -> list[str]:
 
 
 def _group(field: Field[Any]) -> Any:
-    """Returns the options group that is a field's default; None if the field is a single option."""
+    """Returns the default object of a dataclass field that holds a group of options; None for a single option."""
     made = None if field.default_factory is MISSING else field.default_factory()
     return made if is_dataclass(made) else None
 
 
 _OPTION_OF = {"aovs": "--aov"}
-"""Option of each setting whose option is not named after the setting."""
+"""Option of each setting for which it is not ``--`` and the setting's name, by setting."""
 _OPTION_OF_ENUM = {"NormalEstimate": "--normals", "Absorption": "--absorption", "ReceiverSampling": "--sampling"}
-"""Option that accepts the values of an enum, by the enum's class name."""
+"""Option whose values are members of an enum, by the enum's class name."""
 _SETTINGS_WITH_OPTION = ("pipeline", "samples", "background", "lighting", "shadows", "tone_map", "capture_gain", "aovs")
-"""Render settings that have an option; all others need ``--set``."""
+"""Render settings that have an option of their own, such as ``--pipeline``; all others need ``--set``."""
 
 _MEMBER = re.compile(r"\b([A-Z]\w+)\.([A-Z][A-Z_]*)\b")
 _FIELD = re.compile(r"\b([A-Z]\w*Config)\.((?:\w+\.)*[a-z]\w*)\b(?:=(True|False)\b)?")
 
 
 _REFUSED = re.compile(r"(?:camera )?(\w+) is ")
-"""Pattern of the start of a message about a refused value, with the setting's name."""
+"""Pattern of error messages that begin with the name of a setting: ``samples is 0``, ``camera width is 0``."""
 
 
 def shell_words(message: str, command: Command, setting: str | None = None) -> str:
-    """Returns a message of the library with settings and enum members replaced by options.
+    """Rewrites an error message of the library: names of settings and enum members become command-line options.
 
     Args:
         message: Message of one line.
@@ -143,7 +143,7 @@ def shell_words(message: str, command: Command, setting: str | None = None) -> s
 
 @contextmanager
 def logging_in_shell_words(command: Command) -> Generator[None]:
-    """Replaces settings and enum members by options in all lines that are logged in the ``with`` block."""
+    """Context in which logged lines name command-line options in place of settings and enum members."""
 
     def translate(record: logging.LogRecord) -> bool:
         record.msg, record.args = shell_words(record.getMessage(), command), ()
@@ -159,7 +159,7 @@ def logging_in_shell_words(command: Command) -> Generator[None]:
 
 @lru_cache(maxsize=1)
 def _settings() -> tuple[dict[str, str], dict[str, str]]:
-    """Returns two dictionaries about `lumisplat.RenderConfig`.
+    """Returns two dictionaries that are needed to translate names of `lumisplat.RenderConfig` to options.
 
     The first maps the class name of each enum to the setting of that type. The second maps the class name of each
     nested group of settings to its prefix, such as ``trace.``.
@@ -181,7 +181,7 @@ def _settings() -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _member(found: re.Match[str]) -> str:
-    """Returns an enum member in a message as an option with its value, such as ``--pipeline trace``."""
+    """Returns the option for an enum member that a message names: ``Pipeline.TRACE`` becomes ``--pipeline trace``."""
     kind, setting = getattr(ls.config, found[1], None), _settings()[0].get(found[1])
     if not (isinstance(kind, type) and issubclass(kind, Enum)) or found[2] not in kind.__members__:
         return found[0]
@@ -192,7 +192,7 @@ def _member(found: re.Match[str]) -> str:
 
 
 def _field(found: re.Match[str]) -> str:
-    """Returns a setting in a message as an option, with the value that the message may give."""
+    """Returns the option for a setting in a message, such as ``RenderConfig.trace.strategy``, with any value."""
     group = _settings()[1].get(found[1])
     value = {"True": "on", "False": "off"}.get(found[3] or "", "")
     if group is None:  # settings of training or of another command
@@ -201,14 +201,14 @@ def _field(found: re.Match[str]) -> str:
 
 
 def _typed(setting: str, value: str) -> str:
-    """Returns a setting as typed on the command line, with its value unless that is empty."""
+    """Returns how a setting is typed: its option, else ``--set NAME=VALUE``; an empty value is left out."""
     if setting in _SETTINGS_WITH_OPTION:
         return f"{_OPTION_OF.get(setting, '--' + setting.replace('_', '-'))} {value}".rstrip()
     return f"--set {setting}={value}" if value else f"--set {setting}"
 
 
 def _given(options: Any) -> Iterator[str]:
-    """Yields the options that the user gave, of a command and of its option groups."""
+    """Yields the options of a command and of its groups whose values differ from their defaults, as typed."""
     for field in fields(options):
         value = getattr(options, field.name)
         if is_dataclass(value):
@@ -224,7 +224,8 @@ _NO_NUMBER = re.compile(
     r"instantiated from \['(?P<value>.*)'\]\.|could not convert string to float: '(?P<float>.*)'|"
     r"invalid literal for int\(\) with base 10: '(?P<int>.*)')"
 )
-"""Pattern of tyro's message about a value that is not a number; ``word`` is a word that the option also accepts."""
+"""Pattern of tyro's message about a value that is not a number. Its group ``word`` is a word that the option also
+accepts."""
 _NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(.*?)'\. Expected one of \((.*)\)\.")
 _NO_VALUE = re.compile(r"Missing value for argument '(.*?)'\..*")
 _UNRECOGNIZED = re.compile(r"Unrecognized (?:or misplaced )?options: ([^\s,]+).*")
@@ -232,12 +233,12 @@ _MISSING = re.compile(r"(?:-\w \S+, )?(--[\w-]+ \S+)|([\w.|\[\]]+)")
 
 
 class ArgumentsError(Exception):
-    """Raised for arguments that cannot be parsed; the message is one line."""
+    """Raised for arguments that cannot be parsed; the message is one line for the user."""
 
 
 @contextlib.contextmanager
 def panels_as_errors(program: str) -> Generator[None]:
-    """Converts the panel that tyro prints before it exits to an exception.
+    """Context in which the error panel that tyro prints before it exits becomes an exception instead.
 
     Args:
         program: The command whose help the message names, such as ``lumisplat render``.
@@ -282,14 +283,14 @@ def _unrecognized(argument: str, program: str) -> str:
 
 
 def _missing(message: str) -> str:
-    """Returns the required arguments that tyro's message lists with their help, as ``FOLDER and -o FILE``."""
+    """Returns the names of the required arguments in tyro's message, without their help: ``FOLDER and -o FILE``."""
     texts = [text.strip() for text in message.partition(": ")[2].split("(required)")]
     found = [match for text in texts if (match := _MISSING.match(text))]
     return " and ".join((match[1] or match[2]).replace("--output ", "-o ") for match in found)
 
 
 def _no_number(found: re.Match[str]) -> str:
-    """Returns the message about a value that is not a number, in the form of the library's messages."""
+    """Rewrites tyro's message about a value that is not a number, in the form of the library's messages."""
     value = next(text for text in (found["value"], found["float"], found["int"]) if text is not None)
     is_whole = found["kind"] == "INT" or found["int"] is not None
     word = f" or {found['word']}" if found["word"] else ""
@@ -297,7 +298,7 @@ def _no_number(found: re.Match[str]) -> str:
 
 
 def _no_choice(found: re.Match[str]) -> str:
-    """Returns the message about a value that is not among the choices; sorts these, as tyro loses their order."""
+    """Rewrites tyro's message about a value that an option does not accept; lists the choices in alphabetical order."""
     choices = {choice for choice in re.findall(r"'([^']*)'", found[3]) if choice != "None"}
     *others, last = sorted(choices, key=lambda choice: (len(choice) * choice.isdigit(), choice))
     name = found[2] if found[2].startswith("-") else "the argument"

@@ -1,4 +1,4 @@
-"""Loads the files of a scene and their settings; for captures in blocks, the visible blocks of each view.
+"""Loads the files of a scene and their settings; from a folder of `lumisplat blocks`, only the blocks a view sees.
 
 `file_fingerprints` detects changed files, and changes in files that they refer to, by size and modification time.
 """
@@ -25,12 +25,12 @@ _log = logging.getLogger("lumisplat")
 USD = (".usd", ".usda", ".usdc", ".usdz")
 """Extensions of OpenUSD files."""
 WITH_CAMERAS = (".toml", ".glb", ".gltf", *USD)
-"""Extensions of scene files, which can contain cameras."""
+"""Extensions of the scene files that can contain cameras: scene.toml, glTF and OpenUSD."""
 _SCENES = (".glb", ".gltf", *USD)
-"""Extensions of scene formats of other programs: glTF and OpenUSD."""
+"""Extensions of the scene formats that other programs write: glTF and OpenUSD."""
 
 BLOCKS = "blocks.json"
-"""File name of the index of a capture in blocks."""
+"""Name of the index file in a folder that `lumisplat blocks` writes."""
 
 
 def load_scene(
@@ -41,14 +41,15 @@ def load_scene(
     keep_coordinates: bool = False,
     around: ls.Scene | None = None,
 ) -> ls.Scene:
-    """Loads files of any kind into one scene; with `lumisplat.insert`, puts meshes onto captures beside them.
+    """Loads files of any kind into one scene; sets meshes on the ground of captures beside them (`lumisplat.insert`).
 
     Args:
         paths: The files.
         load: Loads one file.
         up: Up direction of the scene; None takes the up direction of the files.
         keep_coordinates: True leaves meshes at the coordinates of their files.
-        around: Existing scene into which meshes are inserted, and which is not part of the result; None for none.
+        around: Scene that is loaded already: meshes are set on the ground of its captures, but the result does not
+            contain it. None for none.
 
     Raises:
         ConfigError: No file was given.
@@ -78,9 +79,13 @@ def load_scene(
 
 
 def _stated_up(scenes: Mapping[Path, ls.Scene], around: ls.Scene) -> tuple[float, float, float] | None:
-    """Returns the up direction of a scene.toml, else of the first capture; None if the files do not state one.
+    """Returns the up direction that files state: of a scene.toml, else of the first file with a capture.
 
-    Files of meshes determine the up direction only if there is no capture.
+    Other files count only if none has a capture. Returns None if no file states an up direction.
+
+    Args:
+        scenes: Scene of each file.
+        around: Scene that is loaded already; it counts as the first file.
     """
     for path, scene in scenes.items():
         if path.suffix.lower() == ".toml" and "up" in toml_values(path):
@@ -91,7 +96,7 @@ def _stated_up(scenes: Mapping[Path, ls.Scene], around: ls.Scene) -> tuple[float
 
 
 def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:
-    """Returns a scene with an asset at the origin; returns an asset that is a scene unchanged."""
+    """Returns a scene that contains an asset at the origin; an asset that already is a scene is returned unchanged."""
     if isinstance(asset, ls.Scene):
         return asset
     if isinstance(asset, ls.Mesh):
@@ -100,10 +105,10 @@ def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:
 
 
 def scene_file(paths: Sequence[Path]) -> Path | None:
-    """Returns the ``scene.toml`` among the files of a scene, which has cameras and settings; None without one.
+    """Returns the only .toml file among the files of a scene; None without one.
 
     Raises:
-        ConfigError: Several files are a ``scene.toml``.
+        ConfigError: Several files are .toml files.
     """
     found = [path for path in paths if path.suffix.lower() == ".toml"]
     if len(found) > 1:
@@ -112,19 +117,19 @@ def scene_file(paths: Sequence[Path]) -> Path | None:
 
 
 def camera_file(paths: Sequence[Path]) -> Path | None:
-    """Returns the file with a scene's cameras: its scene.toml, or its only file if that is glTF or OpenUSD; else None.
+    """Returns the file from which a scene's cameras are read: a .toml, or a single glTF or OpenUSD file; else None.
 
     A glTF or OpenUSD file beside other files is moved onto their ground, so that its cameras would not show it.
 
     Raises:
-        ConfigError: There are two scene files.
+        ConfigError: There are two .toml files.
     """
     is_scene = len(paths) == 1 and paths[0].suffix.lower() in _SCENES
     return paths[0] if is_scene else scene_file(paths)
 
 
 def warn_of_unused_cameras(paths: Sequence[Path]) -> None:
-    """Logs a warning if cameras of glTF or OpenUSD files are not used, because other files are given, too."""
+    """Logs a warning if glTF or OpenUSD files have cameras that are ignored, because several files are given."""
     if len(paths) < 2:
         return
     having: list[str] = []
@@ -139,7 +144,7 @@ def warn_of_unused_cameras(paths: Sequence[Path]) -> None:
 
 
 def scene_settings(file: Path | None) -> ls.RenderConfig:
-    """Returns the settings of a ``scene.toml``; the library's defaults for None.
+    """Returns the render settings that a scene.toml stores; the library's defaults if ``file`` is None.
 
     Raises:
         FormatError: The file cannot be read, or a setting is wrong.
@@ -148,10 +153,10 @@ def scene_settings(file: Path | None) -> ls.RenderConfig:
 
 
 def size_on_disk(path: Path) -> int:
-    """Returns the size in bytes of a file, or of the folder of an unpacked or streamed SOG or a capture in blocks.
+    """Returns the size of a capture on disk, bytes; for a capture in a folder, the size of all its files.
 
     Args:
-        path: File, folder, or index file of a folder.
+        path: File, folder, or index file of a folder (unpacked or streamed SOG, or `lumisplat blocks`).
     """
     path = path.parent if path.name in ("meta.json", "lod-meta.json", BLOCKS) else path
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
@@ -159,7 +164,7 @@ def size_on_disk(path: Path) -> int:
 
 
 def block_folder(path: Path) -> Path | None:
-    """Returns the folder of a capture in blocks, given the folder or its index file; None for other paths."""
+    """Returns the folder that `lumisplat blocks` wrote, given it or its index file; None for any other path."""
     if path.name == BLOCKS:
         return path.parent
     return path if os.path.isfile(path / BLOCKS) else None
@@ -167,22 +172,22 @@ def block_folder(path: Path) -> Path | None:
 
 @dataclass
 class BlockViews:
-    """Capture in blocks that loads the visible part for each view; the last view's part stays in memory."""
+    """A folder of `lumisplat blocks`, of which only the blocks that the last camera saw are in memory."""
 
     index: ls.io.BlockIndex
     pixels: float
-    """Largest mean size of the Gaussians of far blocks, pixels, as in `lumisplat.io.visible_blocks`."""
+    """A far block uses a coarser level of detail while its Gaussians cover at most this many pixels on average."""
     preview: ls.Scene
-    """Scene with a small subset of the capture's Gaussians, from which cameras are chosen."""
+    """Scene with a few of the capture's Gaussians; enough to choose a camera that frames the capture."""
     _parts: list[ls.io.BlockPart] = field(default_factory=list["ls.io.BlockPart"], init=False)
     _scene: ls.Scene | None = field(default=None, init=False)
 
     def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
-        """Returns the part of the capture that a camera sees; the whole capture if the camera is not a pinhole.
+        """Returns a scene with the blocks that a camera sees; with all blocks unless it is an undistorted pinhole.
 
         Args:
             camera: The camera.
-            release: Releases the part of the last view before another is loaded.
+            release: Called before other blocks are loaded; frees the renderer's copy of the previous ones.
 
         Raises:
             FormatError: A block cannot be read, or all blocks do not fit into memory.
@@ -211,21 +216,23 @@ def block_views(
     whole: str = "",
     upright: Callable[[ls.Scene], ls.Scene],
 ) -> BlockViews | None:
-    """Returns the capture in blocks among the files.
+    """Returns a loader of visible blocks if the scene is a folder of `lumisplat blocks` and the frames allow it.
+
+    Only unlit, rasterised frames of a single file do; otherwise the whole capture is needed.
 
     Args:
         paths: Files of the scene.
         config: Settings of the frames.
-        pixels: Value of ``--lod pixels=``.
+        pixels: Value of ``--lod pixels=``; None without it.
         lit: True if an option adds lights to the scene.
         whole: Given option that needs the whole capture; empty without one.
         upright: Sets the up direction of a scene.
 
     Returns:
-        The capture; None without a capture in blocks, or if frames need the whole capture, which is logged.
+        The loader; None without a folder of blocks, or if the whole capture is needed, which is logged.
 
     Raises:
-        ConfigError: ``pixels`` is given without a capture in blocks, or is negative.
+        ConfigError: ``pixels`` is negative, or is given although blocks cannot be loaded view by view.
         FormatError: The index cannot be read.
     """
     folders = [folder for path in paths if (folder := block_folder(path)) is not None]
@@ -258,13 +265,13 @@ def block_views(
 
 
 def holds_all_columns(path: Path) -> bool:
-    """Returns whether a capture's format can store any columns: True for an uncompressed .ply."""
+    """True if a capture file can store any column of values per Gaussian: an uncompressed .ply."""
     name = path.name.lower()
     return name.endswith(".ply") and not name.endswith(".compressed.ply")
 
 
 def holds_materials(path: Path) -> bool:
-    """Returns whether a capture's format can store albedo, roughness and normals, as .ply, glTF and OpenUSD can."""
+    """True if a capture file can store albedo, roughness and normals: .ply, glTF or OpenUSD."""
     return holds_all_columns(path) or path.suffix.lower() in _SCENES
 
 
@@ -275,7 +282,7 @@ _OBJ_HEAD = 2**20
 
 
 def file_fingerprints(paths: list[Path], excluded: Path) -> dict[str, str]:
-    """Returns size and modification time of files, and of all files that they refer to, by path.
+    """Returns size and modification time, as text by path, of files and of all files that they refer to.
 
     Keys are paths relative to the folder of the first file. A string in a file counts as a reference to another file if
     it is that file's path, relative to the folder of the file with the string. The path of a folder refers to all files
@@ -316,13 +323,13 @@ def toml_values(path: Path) -> dict[str, Any]:
 
 
 def _paths(text: str) -> set[str]:
-    r"""Returns a string as the paths that it may mean, with ``\`` or ``/``; none for ``.``, ``..`` and ``/``."""
+    r"""Returns the paths that a string in a file may mean, with ``\`` or ``/``; none for ``.``, ``..`` and ``/``."""
     is_path = 0 < len(text) < 1024 and "\0" not in text and bool(set(Path(text).parts) - {".", "..", "/"})
     return {text, text.replace("\\", "/")} if is_path else set()
 
 
 def _texts(path: Path) -> Iterator[str]:
-    """Yields the strings of a file that may be paths of other files."""
+    """Yields all strings of a scene or asset file that may be paths of other files, such as textures."""
     suffix = path.suffix.lower()
     if suffix == ".toml":
         yield from _strings(toml_values(path))
@@ -341,7 +348,7 @@ def _texts(path: Path) -> Iterator[str]:
 
 
 def gltf_document(path: Path) -> Any:
-    """Returns the JSON of a .gltf or .glb without its buffers; None if a .glb does not begin with JSON."""
+    """Returns the JSON part of a .gltf or .glb file; None if a .glb does not begin with JSON."""
     if path.suffix.lower() == ".gltf":
         return json.loads(path.read_bytes())
     with path.open("rb") as stream:
@@ -350,7 +357,7 @@ def gltf_document(path: Path) -> Any:
 
 
 def _usd_references(path: Path) -> list[str]:
-    """Returns the paths in a binary OpenUSD layer: other layers, and assets in attribute values at all times."""
+    """Returns the file paths in a binary OpenUSD layer: other layers, and assets such as textures, at all times."""
     try:
         library: Any = importlib.import_module("pxr.UsdUtils")
     except ImportError:  # without OpenUSD, the layer cannot be loaded either

@@ -9,9 +9,9 @@ import lumisplat as ls
 
 _BETWEEN = re.compile(r"[,\s]+")
 _INCLUSIVE = re.compile(r"(\d+)(?:-(\d+)(?:x(\d+))?)?")
-"""Pattern of ranges with both ends included: ``5``, ``1-100`` and ``1-100x2``."""
+"""Pattern of frame ranges whose last number is included: ``5``, ``1-100`` and, with a step, ``1-100x2``."""
 _HALF_OPEN = re.compile(r"(\d*):(\d*)")
-"""Pattern of ranges whose end is excluded: ``0:48``, ``48:`` and ``:10``."""
+"""Pattern of frame ranges whose last number is excluded: ``0:48``, ``48:`` and ``:10``."""
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
@@ -20,7 +20,7 @@ _COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbe
 
 
 def numbers(option: str, text: str, count: int, example: str) -> tuple[float, ...]:
-    """Returns finite numbers from a text with commas or spaces.
+    """Parses finite numbers that are separated by commas or spaces.
 
     Args:
         option: Option as typed, for messages.
@@ -55,7 +55,9 @@ def vector(option: str, text: str, example: str = "0,-2.5,1") -> tuple[float, fl
 
 
 def frame_numbers(option: str, text: str, count: int, unit: str = "frame") -> list[int]:
-    """Returns the sorted frame numbers of ``1-100``, ``1-100x2``, ``1,5,9`` or ``A:B``; all numbers for an empty text.
+    """Parses the value of ``--frames``, such as ``1-100``, ``1-100x2``, ``1,5,9`` or ``0:48``, to sorted numbers.
+
+    An empty text means all frames.
 
     Args:
         option: Option as typed, for messages.
@@ -83,7 +85,12 @@ def frame_numbers(option: str, text: str, count: int, unit: str = "frame") -> li
 
 
 def _frames_of(part: str, count: int) -> range | None:
-    """Returns the frame numbers of one range; None if the text is not a range."""
+    """Returns the frame numbers of one range, such as ``1-100x2``; None if the text is not a range.
+
+    Args:
+        part: The text.
+        count: Number of frames that exist; the end of an open range such as ``48:``.
+    """
     if found := _INCLUSIVE.fullmatch(part):
         first, step = int(found[1]), int(found[3] or 1)
         return range(first, int(found[2] or first) + 1, step) if step else None
@@ -93,7 +100,7 @@ def _frames_of(part: str, count: int) -> range | None:
 
 
 def seconds_of(option: str, text: str) -> float:
-    """Returns a duration in seconds.
+    """Parses a duration to seconds.
 
     Args:
         option: Option as typed, for messages.

@@ -1,4 +1,4 @@
-"""Suggests what to type in place of an unknown option or command: a setting, the present name, or a similar name."""
+"""Error messages for unknown options and commands, which suggest what to type instead."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ FORMER_SETTINGS = {
     "--time": ("time_limit",),
     "--transmittance-min": ("raster.transmittance_min", "trace.transmittance_min", "shadow_rays.transmittance_min"),
 }
-"""Settings for ``--set`` that replace each former option of render or animate."""
+"""Settings that ``--set`` changes in place of an option that render and animate once had, by former option."""
 
 FORMER_OPTIONS = {
     "--cryptomatte": "--aov cryptomatte",
@@ -63,7 +63,7 @@ FORMER_OPTIONS = {
     "--split-samples": "--tiles samples",
     "--warm-up": "--samples {}",
 }
-"""Present form of each former option."""
+"""What to type now for each option that was renamed or merged with another, by former option."""
 
 _SYNONYMS = {
     "--cpu": "--device cpu",
@@ -76,19 +76,19 @@ _SYNONYMS = {
     "--sky": "--environment",
     "--outdir": "--output",
 }
-"""Options by the names that other renderers give them."""
+"""What to type here for options that other renderers have, such as ``--device cpu`` for ``--cpu``."""
 
 _OPTION = re.compile(r"--[A-Za-z][\w.-]*")
 _SIMILARITY = 0.7
-"""Smallest `difflib` ratio of a suggested name: 0.67 would suggest --cap for --cpu."""
+"""Smallest `difflib` ratio, 0..1, between an unknown name and a suggested one; 0.67 would suggest --cap for --cpu."""
 _SUGGESTIONS_MAX = 3
-"""Largest number of suggestions, or of commands, in one message."""
+"""Largest number of suggestions in one error message, and of commands that have the option."""
 
 
 def unknown_option(
     args: Sequence[str], command: type[Any], commands: Mapping[str, type[Any]], program: str
 ) -> str | None:
-    """Returns an error message about the first option that a command does not have; None if it has all options.
+    """Returns an error message about the first argument that is no option of a command; None if there is none.
 
     Args:
         args: Arguments after the name of the command.
@@ -133,7 +133,14 @@ def _answer(option: str, value: str, command: type[Any], commands: Mapping[str, 
 
 
 def _settings(option: str, value: str) -> list[str]:
-    """Returns ``NAME=VALUE`` for each render setting whose full name or last part equals an option's name."""
+    """Returns ``--set`` values, as ``NAME=VALUE``, for the render settings that an unknown option names.
+
+    A setting matches by its full name or by the part after its group; ``--no-x`` gives ``x=false``.
+
+    Args:
+        option: The unknown option.
+        value: Value typed after it; empty without one.
+    """
     name = option.removeprefix("--").replace("-", "_")
     from lumisplat.config.setting import all_settings  # imported late: the help must not need NumPy
 
@@ -147,7 +154,12 @@ def _settings(option: str, value: str) -> list[str]:
 
 
 def _near_settings(option: str, value: str) -> list[str]:
-    """Returns ``NAME=VALUE`` for each render setting whose last part is similar to an option's name."""
+    """Returns ``--set`` values, as ``NAME=VALUE``, for the render settings whose names resemble an unknown option.
+
+    Args:
+        option: The unknown option.
+        value: Value typed after it; empty without one.
+    """
     from lumisplat.config.setting import all_settings
 
     declared = [*all_settings(ls.RenderConfig)]
@@ -157,10 +169,10 @@ def _near_settings(option: str, value: str) -> list[str]:
 
 
 def _suggestions(option: str, command: type[Any]) -> list[str]:
-    """Returns suggestions for an unknown option.
+    """Returns what to type instead of an unknown option of a command; empty if nothing resembles it.
 
-    The first of these that exists: a synonym, options that begin with the given text, an option with the given word as
-    a value, or the most similar option.
+    Tries in this order: a synonym, options that begin with the given text, an option with the given word as a value,
+    the most similar option.
     """
     known = options_of(command)
     synonym = _SYNONYMS.get(option)
@@ -176,7 +188,7 @@ def _suggestions(option: str, command: type[Any]) -> list[str]:
 
 
 def _choices(command: type[Any]) -> Iterator[tuple[str, set[str]]]:
-    """Yields each option of a command that accepts only certain words, with these words."""
+    """Yields (option, words) for each option of a command that accepts only certain words."""
     for name, hint in get_type_hints(command, include_extras=True).items():
         option, words = f"--{name.replace('_', '-')}", {*_literals(hint)}
         if words and option in options_of(command):

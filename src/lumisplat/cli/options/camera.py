@@ -44,7 +44,7 @@ class ViewpointOptions:
 
     @property
     def is_given(self) -> bool:
-        """True if the user gave an option of the camera; ``--up`` does not count."""
+        """True if the user gave an option that sets the camera; ``--up`` alone does not."""
         return bool(self._given())
 
     def check(self, cameras: Path | None) -> None:
@@ -77,17 +77,19 @@ class ViewpointOptions:
         parse_up(self.up)
 
     def upright(self, scene: ls.Scene) -> ls.Scene:
-        """Returns the scene with the up direction of ``--up``."""
+        """Returns the scene with the up direction that ``--up`` sets; unchanged for ``auto``."""
         return upright(scene, self.up)
 
     def camera(self, scene: ls.Scene, width: int | None, height: int | None, *, all_around: bool = False) -> ls.Camera:
-        """Returns the camera that the options describe; without options, that of `lumisplat.frame_camera`.
+        """Returns the camera that the options describe; for options not given, the values of `lumisplat.frame_camera`.
 
         Args:
             scene: Scene to look at, with its up direction.
-            width: Image width in pixels; None keeps the aspect ratio, or 1280 x 720 if both are None.
+            width: Image width in pixels. If only one of width and height is None, it follows from the aspect ratio
+                16:9; if both are, the image has 1280 x 720 pixels.
             height: Image height in pixels; None as for the width.
-            all_around: Argument of `lumisplat.frame_camera`.
+            all_around: True chooses the distance so that the scene also fits the image from all other azimuths, for a
+                turntable.
 
         Raises:
             ConfigError: ``--eye`` equals the target.
@@ -121,7 +123,7 @@ class ViewpointOptions:
         return replace(camera, near=min(camera.near, 1e-3 * distance))
 
     def _framing(self, scene: ls.Scene, size: tuple[int, int], all_around: bool) -> ls.Camera:
-        """Returns the camera that ``--azimuth``, ``--elevation`` and ``--distance`` place around the target."""
+        """Returns the camera around the target at ``--azimuth``, ``--elevation`` and ``--distance``; see `camera`."""
         given = {"azimuth": self.azimuth, "elevation": self.elevation}
         angles: dict[str, Any] = {name: math.radians(value) for name, value in given.items() if value is not None}
         return ls.frame_camera(
@@ -136,7 +138,7 @@ class ViewpointOptions:
         )
 
     def target_point(self, scene: ls.Scene) -> tuple[float, float, float]:
-        """Returns the point in the image centre: ``--target``, or the target of `lumisplat.frame_camera`."""
+        """Returns the world position at the image centre: ``--target``, else the target that `frame_camera` chooses."""
         if self.target is not None:
             return vector("--target", self.target)
         camera = ls.frame_camera(scene, distance=1.0)
@@ -145,12 +147,12 @@ class ViewpointOptions:
 
 
 ViewpointGroup = Annotated[ViewpointOptions, arg(name="camera"), OmitArgPrefixes]
-"""Type of a command's field that shows `ViewpointOptions` as a group in the help."""
+"""Type of a command field whose `ViewpointOptions` become options of the command, in a help group of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions(ViewpointOptions):
-    """Options of a viewpoint and its lens: aperture, and the pixel on which `lumisplat.Renderer.focused` focuses."""
+    """Options of a viewpoint, the lens radius, and the pixel that the lens focuses on."""
 
     aperture: Annotated[float | None, setting("UNITS", "the camera's, or 0")] = None
     """Set the lens radius; objects out of focus blur."""
@@ -175,11 +177,11 @@ class CameraOptions(ViewpointOptions):
 
 
 CameraGroup = Annotated[CameraOptions, arg(name="camera"), OmitArgPrefixes]
-"""Type of a command's field that shows `CameraOptions` as a group in the help."""
+"""Type of a command field whose `CameraOptions` become options of the command, in a help group of their own."""
 
 
 def upright(scene: ls.Scene, up: str) -> ls.Scene:
-    """Returns the scene with the up direction of ``--up``.
+    """Returns the scene with its up direction replaced by the value of ``--up``.
 
     Args:
         scene: The scene.
@@ -193,14 +195,14 @@ def upright(scene: ls.Scene, up: str) -> ls.Scene:
 
 
 def warn_if_up_is_guessed(scene: ls.Scene) -> None:
-    """Logs a warning if a scene's up direction is guessed, not read from a file. Call it where this matters."""
+    """Logs a warning if a scene's up direction is a guess, as no file states it."""
     if scene.splats and scene.up_source == "guess":
         message = "up is guessed as %s, as no file states it: --up sets it, lumisplat convert --level finds it"
         _log.warning(message, up_name(scene.up_direction))
 
 
 def parse_up(text: str) -> str | tuple[float, float, float] | None:
-    """Returns the value of ``--up`` for `lumisplat.Scene`; None for ``auto``.
+    """Converts the value of ``--up`` to the argument ``up`` of `lumisplat.Scene`; None for ``auto``.
 
     Raises:
         ConfigError: The value is not a direction.

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 
 Flag = Annotated[bool, arg(help_behavior_hint="")]
-"""Type of an option without a value, which is off by default."""
+"""Type of a command option that takes no value: True if the option is given, else False."""
 
 
 _Command = TypeVar("_Command", bound=type[Any])
 
 
 def own_options_first(command: _Command) -> _Command:
-    """Class decorator that lists a command's own options before inherited ones in the help, and ``--debug`` last.
+    """Class decorator: the help lists options of the class itself first, then inherited ones, ``--debug`` last.
 
     All fields are keyword-only, so their order has no other effect.
     """
@@ -51,7 +51,7 @@ class Command(ABC):
 
     @abstractmethod
     def run(self) -> None:
-        """Runs the command."""
+        """Runs the command; errors are exceptions, which `lumisplat.cli.main` prints."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,12 @@ class DeviceCommand(Command):
     def start_renderer(
         self, report: Report, config: ls.RenderConfig | None = None, profile: bool = False
     ) -> ls.Renderer:
-        """Returns a renderer on the device, which compiles its kernels in the first frame.
+        """Returns a renderer on the device of ``--device``; it compiles its kernels when it renders the first frame.
+
+        Args:
+            report: Receives the progress.
+            config: Render settings; None uses the defaults.
+            profile: True measures the time of each stage.
 
         Raises:
             DeviceError: The device does not exist, or compiled kernels cannot be stored.
@@ -73,7 +78,7 @@ class DeviceCommand(Command):
         return ls.create_renderer(config, self.device, profile=profile, progress=report, compiles=False)
 
     def quiet_warp(self) -> None:
-        """Hides messages of Warp, unless ``--debug`` is given."""
+        """Hides messages of NVIDIA Warp, such as those about compiling, unless ``--debug`` is given."""
         if not self.debug:
             quiet_warp()
 
@@ -89,34 +94,35 @@ class LoadingCommand(Command):
 
     @property
     def crease_radians(self) -> float | None:
-        """Argument ``crease_angle`` of `lumisplat.load`; None for its default."""
+        """Angle between faces above which `lumisplat.load` makes a mesh edge sharp, radians; None uses its default."""
         return None
 
     @property
     def keeps_incident(self) -> bool:
-        """Argument ``incident`` of `lumisplat.load`: True keeps the incident light of a capture."""
+        """True if `lumisplat.load` keeps the incident light that a Relightable 3D Gaussians file stores."""
         return False
 
     @property
     def keeps_coordinates(self) -> bool:
-        """True if meshes beside captures keep the coordinates of their files."""
+        """True if meshes stay at their files' coordinates; False if they are set on the ground of captures."""
         return False
 
     @property
     def levels(self) -> dict[str, int | None]:
-        """Arguments ``lod`` and ``budget`` of `lumisplat.load`; empty for commands without ``--lod``."""
+        """Arguments ``lod`` and ``budget`` of `lumisplat.load`, from ``--lod``; empty for commands without it."""
         return {}
 
     def load_asset(
         self, path: Path, report: Report, up: tuple[float, float, float] | None = None, **levels: int | None
     ) -> ls.Gaussians | ls.Mesh | ls.Scene:
-        """Loads one file, and reports the progress with its name.
+        """Loads one file, and reports the progress under the file's name.
 
         Args:
             path: The file.
             report: Receives the progress.
-            up: Argument of `lumisplat.load`.
-            **levels: Arguments ``lod`` and ``budget`` of `lumisplat.load`, in place of `levels`.
+            up: Up direction for a scene.toml that does not state one, as in `lumisplat.load`; None uses the default.
+            **levels: Arguments ``lod`` and ``budget`` of `lumisplat.load`; without them, those of the property
+                `levels`.
 
         Raises:
             FormatError: The file cannot be read.
@@ -145,9 +151,10 @@ class LoadingCommand(Command):
         Args:
             paths: The files.
             report: Receives the progress.
-            up: Argument of `lumisplat.load`.
-            given_up: Up direction of the scene from ``--up``; None without the option.
-            around: Existing scene into whose captures meshes are inserted, and which is not part of the result.
+            up: Up direction for a scene.toml that does not state one, as in `lumisplat.load`; None: the default.
+            given_up: Up direction of the scene from ``--up``; None takes the up direction of the files.
+            around: Scene that is loaded already: meshes are set on the ground of its captures, but the result does not
+                contain it. None for none.
 
         Raises:
             ConfigError: No file was given.
@@ -164,27 +171,29 @@ class LoadingCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class InsertingCommand(LoadingCommand):
-    """Base class of commands that insert meshes into captures."""
+    """Base class of commands that set meshes on the ground of captures beside them."""
 
     keep_coordinates: Flag = False
     """Keep meshes at their files' coordinates instead of on a capture's ground."""
 
     @property
     def keeps_coordinates(self) -> bool:
-        """True if ``--keep-coordinates`` is given."""
+        """True if ``--keep-coordinates`` is given: meshes stay at their files' coordinates."""
         return self.keep_coordinates
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelsCommand(LoadingCommand):
-    """Base class of commands that load captures with levels of detail."""
+    """Base class of commands that load captures at the level of detail of ``--lod``."""
 
     lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
     """Load level of detail N, or the finest level within budget=COUNT Gaussians."""
 
     @property
     def levels(self) -> dict[str, int | None]:
-        """Level of detail, or the largest number of Gaussians, of ``--lod``, as arguments of `lumisplat.load`.
+        """Arguments ``lod`` (a level) and ``budget`` (a number of Gaussians) of `lumisplat.load`, from ``--lod``.
+
+        Both are None without the option, and for ``pixels=``, which selects levels block by block.
 
         Raises:
             ConfigError: The value of ``--lod`` is neither a level nor a number of Gaussians.
@@ -202,9 +211,12 @@ class LevelsCommand(LoadingCommand):
         return {"lod": None, "budget": number} if kind == "budget" else {"lod": number, "budget": None}
 
     def _lod(self) -> tuple[str, str]:
-        """Splits ``--lod`` into kind and number, as text.
+        """Splits ``--lod`` at its ``=``: ``budget=9`` gives ``("budget", "9")``, a level ``2`` gives ``("", "2")``.
 
-        The kind is ``budget``, ``pixels``, or empty for a level. Both are empty without the option.
+        Both texts are empty without the option.
+
+        Raises:
+            ConfigError: The option is empty, or the word before ``=`` is unknown.
         """
         if self.lod == "":
             raise ls.ConfigError(f"--lod is empty, expected a level such as 1, or {self._lod_expected}")
@@ -225,14 +237,14 @@ class LevelsCommand(LoadingCommand):
 
     @property
     def chooses_level(self) -> bool:
-        """True if ``--lod`` chooses one level of detail for the whole capture."""
+        """True if ``--lod`` gives a level or a budget, and thus one level of detail for the whole capture."""
         return self.lod is not None and self._lod()[0] != "pixels"
 
     def check_levels(self, paths: Sequence[Path]) -> None:
-        """Checks that ``--lod`` chooses a level only for files that can have levels of detail.
+        """Checks that a ``--lod`` with a level or budget has a file with levels of detail to apply to.
 
         Raises:
-            ConfigError: No file is a folder, an index or a scene.toml.
+            ConfigError: None of the files is a folder, a .json index or a scene.toml.
         """
         if self.chooses_level and not any(path.is_dir() or path.suffix.lower() in (".json", ".toml") for path in paths):
             named = ", ".join(map(str, paths[:3]))
@@ -246,21 +258,23 @@ class LevelsCommand(LoadingCommand):
         given_up: str | tuple[float, float, float] | None = None,
         around: ls.Scene | None = None,
     ) -> ls.Scene:
-        """Loads the scene as `LoadingCommand.load_scene` does, after `check_levels`."""
+        """Loads files of any kind into one scene, as `LoadingCommand.load_scene`, after `check_levels`."""
         self.check_levels(paths)
         return super().load_scene(paths, report, up, given_up, around)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewsCommand(LevelsCommand, InsertingCommand):
-    """Base class of commands that load only the visible blocks of a capture in blocks."""
+    """Base class of commands that, from a folder of `lumisplat blocks`, load only the blocks that a camera sees."""
 
     lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
     """Load level N, the finest within budget=COUNT Gaussians, or Gaussians of pixels=PX on screen."""
 
     @property
     def lod_pixels(self) -> float | None:
-        """Largest mean size of the Gaussians of far blocks, in pixels; None without ``--lod pixels=``.
+        """Value of ``--lod pixels=``: far blocks use a coarser level if its Gaussians cover at most so many pixels.
+
+        None without it.
 
         Raises:
             ConfigError: The value is not a number >= 0.
@@ -283,18 +297,20 @@ class ViewsCommand(LevelsCommand, InsertingCommand):
 
 PipelineName = Literal["raster", "trace", "hybrid", "path", "realtime"]
 Changes = dict[str, Any]
-"""Values of settings by their names in `lumisplat.RenderConfig`; a group of settings is a nested dictionary."""
+"""Changed render settings: new values by field name of `lumisplat.RenderConfig`; a group is a nested dictionary."""
 
 _Config = TypeVar("_Config")
 
 LIGHTING = "animation.lighting."
-"""Prefix of ``--set`` names of the avatar lighting, a table of scene files."""
+"""Prefix of the ``--set`` names that change how actors are lit, such as ``animation.lighting.shadows``."""
 CREASE = "meshes.crease_angle_degrees"
-"""Name in ``--set`` of the crease angle of all meshes, a key of scene files."""
+"""Name in ``--set`` of the crease angle of all meshes, degrees, which replaces those in scene files."""
 
 
 def setting(metavar: str, default: str) -> object:
-    """Declares an option that is None unless given, so that the scene file's value or the library's default applies.
+    """Returns the tyro declaration of an option that is None unless given.
+
+    The value of the scene file, or else the default of the library, then applies.
 
     Args:
         metavar: Accepted values, for the help.
@@ -305,17 +321,17 @@ def setting(metavar: str, default: str) -> object:
 
 @dataclass(frozen=True, kw_only=True)
 class SetCommand(Command):
-    """Base class of commands with ``--set``."""
+    """Base class of commands with ``--set NAME=VALUE``, which changes any setting."""
 
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="NAME=VALUE")] = ()
     """Change any setting of docs/settings.md, such as trace.hits_per_pass=8."""
 
     def set_values(self, prefix: str = "") -> dict[str, str]:
-        """Returns the values that ``--set`` gives, as text by name.
+        """Returns the values of those ``--set`` options whose names begin with a prefix, as text by name.
 
         Args:
             prefix: `LIGHTING` selects the settings of avatar lighting and removes this prefix; `CREASE` selects the
-                crease angle; empty selects the render settings.
+                crease angle; an empty text selects all others, which are render settings.
 
         Raises:
             ConfigError: A text has no name or no value.
@@ -332,11 +348,11 @@ class SetCommand(Command):
         return found
 
     def changed(self, base: _Config, prefix: str = "") -> _Config:
-        """Returns settings with the changes of ``--set``.
+        """Returns a settings object with the changes of the ``--set`` options that concern it.
 
         Args:
-            base: The settings.
-            prefix: Selects settings, as in `set_values`.
+            base: Settings before the changes.
+            prefix: Prefix of the option names that concern these settings, as in `set_values`.
 
         Raises:
             ConfigError: A setting is unknown, or its value is out of range.
@@ -359,7 +375,7 @@ class PipelineCommand(SetCommand):
     """Render by raster, trace, hybrid, path or realtime."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """Returns the settings of a scene file, changed by options; ``--set`` overrides other options.
+        """Returns render settings: a scene file's, changed by ``--pipeline``, other options and, last, ``--set``.
 
         Args:
             base: Settings of the file, or the defaults.
@@ -380,13 +396,13 @@ class SamplesCommand(PipelineCommand):
     """Average N samples per pixel; with realtime, render N frames before each image."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """Returns the settings of `PipelineCommand.pipeline_config`, also changed by ``--samples``."""
+        """Returns render settings as `PipelineCommand.pipeline_config` does, with ``--samples`` applied, too."""
         own: Changes = {} if self.samples is None else {"samples": None if self.samples == "auto" else self.samples}
         return super().pipeline_config(base, *changes, own)
 
 
 def changed_config(base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-    """Returns settings with changes, applied one after the other.
+    """Returns render settings with several dictionaries of changes applied; later ones override earlier ones.
 
     Raises:
         ConfigError: A value is out of range.
@@ -401,18 +417,23 @@ def changed_config(base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
 
 
 def given_settings_of(command: Command, kind: type[DataclassInstance]) -> Changes:
-    """Returns the given options of a command whose names are fields of a settings class, with their values."""
+    """Returns the values of a command's given options that have the name of a field of a settings class, by name.
+
+    Args:
+        command: The command.
+        kind: The settings class, such as `lumisplat.config.DatasetConfig`.
+    """
     values = {one.name: getattr(command, one.name, None) for one in fields(kind)}
     return without_none(values)
 
 
 def without_none(settings: Mapping[str, Any]) -> Changes:
-    """Returns the entries whose value is not None."""
+    """Returns a copy of a dictionary without the entries whose value is None."""
     return {name: value for name, value in settings.items() if value is not None}
 
 
 def given_options(options: DataclassInstance, names: Sequence[str] | None = None) -> list[str]:
-    """Returns the names of the options that were given, such as ``--tone-map``.
+    """Returns the options whose values differ from their defaults, as typed, such as ``--tone-map``.
 
     Args:
         options: A command, or a group of options.
@@ -426,7 +447,7 @@ def given_options(options: DataclassInstance, names: Sequence[str] | None = None
 
 
 def given_settings(command: SetCommand) -> Iterator[tuple[str, str]]:
-    """Yields each render setting that an option sets, and the option."""
+    """Yields (setting, option) for each render setting given by ``--pipeline``, ``--samples`` or ``--set``."""
     for name in ("pipeline", "samples"):
         if getattr(command, name, None) is not None:
             yield name, f"--{name}"

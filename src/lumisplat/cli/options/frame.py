@@ -1,4 +1,4 @@
-"""Options of commands that render frames: light, cameras and settings; and log lines about options without effect."""
+"""Options of commands that render frames: light, cameras and image; and warnings about options without effect."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _LIGHTING = {"auto": None, "on": True, "off": False}
 
 @dataclass(frozen=True, kw_only=True)
 class LightOptions:
-    """Options for the light settings of `lumisplat.RenderConfig`."""
+    """Options that set lighting, shadows and tone map of `lumisplat.RenderConfig`."""
 
     lighting: Annotated[Literal["auto", "on", "off"] | None, setting("auto|on|off", "auto")] = None
     """Light the scene; auto does so if it has lights or only meshes."""
@@ -48,7 +48,7 @@ class LightOptions:
     """Tone-map lit colours by none (clips), neutral (preserves hues) or agx (filmic)."""
 
     def changes(self) -> Changes:
-        """Returns the settings that the given options change."""
+        """Returns changes of the render settings, one for each option of this group that was given."""
         frame = {
             "shadows": self.shadows and ls.Shadows(self.shadows),
             "tone_map": self.tone_map and ls.ToneMap(self.tone_map),
@@ -59,7 +59,7 @@ class LightOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentOptions(LightOptions):
-    """Light options extended by environment, exposure, gain of captured light, and denoising."""
+    """Light options, with an environment image, exposure, gain of captured light, shadow catchers and denoising."""
 
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Light meshes and captures with a material by this latitude-longitude image, .hdr or .exr."""
@@ -75,16 +75,16 @@ class EnvironmentOptions(LightOptions):
     """Denoise lit frames; needs pip install 'lumisplat[denoise]'."""
 
     def changes(self) -> Changes:
-        """Returns the settings that the given options change."""
+        """Returns changes of the render settings, one for each option of this group that sets one."""
         gain = None if self.capture_gain == "auto" else self.capture_gain
         return super().changes() | without_none({"capture_gain": gain})
 
     def with_capture_gain(self, renderer: ls.Renderer, config: ls.RenderConfig, scene: ls.Scene) -> ls.RenderConfig:
-        """Returns settings with the gain estimated for ``--capture-gain auto``, and passes them to the renderer.
+        """For ``--capture-gain auto``, estimates the gain, sets it in the renderer and returns the new settings.
 
         Args:
             renderer: Renderer of the frames.
-            config: Settings of the renderer, returned unchanged for other values of ``--capture-gain``.
+            config: Settings of the renderer; returned unchanged if ``--capture-gain`` is a number or not given.
             scene: Scene of the frames.
 
         Raises:
@@ -99,7 +99,7 @@ class EnvironmentOptions(LightOptions):
         return config
 
     def exposed(self, camera: ls.Camera) -> ls.Camera:
-        """Returns the camera with the exposure of ``--exposure``.
+        """Returns the camera with its exposure replaced by ``--exposure``, stops; unchanged without the option.
 
         Raises:
             SceneError: The exposure is not finite.
@@ -107,7 +107,7 @@ class EnvironmentOptions(LightOptions):
         return camera if self.exposure is None else replace(camera, exposure=self.exposure)
 
     def environment_light(self) -> ls.LightEnvironment | None:
-        """Loads the environment of ``--environment``, unrotated and with +y up; returns None without the option.
+        """Loads the image of ``--environment`` as a light whose +y is up, not yet rotated; None without the option.
 
         Raises:
             ConfigError: ``--environment-rotation`` is not finite, or is given without ``--environment``.
@@ -122,7 +122,9 @@ class EnvironmentOptions(LightOptions):
         return ls.LightEnvironment(image=ls.io.load_radiance(self.environment), name=self.environment.stem)
 
     def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None) -> ls.Scene:
-        """Returns the scene with the environment, upright and rotated, and the shadow catchers of the options.
+        """Returns a scene with ``--environment`` as its only environment, and with the shadow catchers of the options.
+
+        The environment is turned to the scene's up direction and by ``--environment-rotation``.
 
         Args:
             scene: The loaded scene.
@@ -144,10 +146,10 @@ class EnvironmentOptions(LightOptions):
 
 
 LightGroup = Annotated[LightOptions, arg(name="light"), OmitArgPrefixes]
-"""Type of a command's field that shows `LightOptions` as a group in the help."""
+"""Type of a command field whose `LightOptions` become options of the command, in a help group of their own."""
 
 EnvironmentGroup = Annotated[EnvironmentOptions, arg(name="light"), OmitArgPrefixes]
-"""Type of a command's field that shows `EnvironmentOptions` as a group in the help."""
+"""Type of a command field whose `EnvironmentOptions` become options of the command, in a help group of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,11 +188,11 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return None if text is None else math.radians(degrees)
 
     def frame_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
-        """Returns the settings of a scene file, changed by the command's options.
+        """Returns the render settings: those of a scene file, changed by all options of the command.
 
         Args:
             base: Settings of the file, or the defaults.
-            changes: Further changes of the command.
+            changes: Further changes; options override them.
 
         Raises:
             ConfigError: A value is out of range, or ``--focus`` is not a pixel.
@@ -209,12 +211,13 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
     def frame_source(
         self, renderer: ls.Renderer, warm_up: WarmUp | None = None, blocks: SceneForView | None = None
     ) -> FrameSource:
-        """Returns the renderer of the command's frames, with focus and denoising.
+        """Returns an object that renders the command's frames, and focuses and denoises them as options ask.
 
         Args:
             renderer: Renders the frames.
-            warm_up: Warm-up of real-time frames; None uses the default warm-up of frame sequences.
-            blocks: Loads the part of a capture in blocks that a camera sees; None for whole scenes.
+            warm_up: Number of frames of the realtime pipeline to render before one is kept; None warms up once, before
+                the first frame of a sequence.
+            blocks: Loads the blocks of a capture that a camera sees; None if scenes are loaded whole.
 
         Raises:
             ConfigError: ``--focus`` is not a pixel.
@@ -223,12 +226,14 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return FrameSource(renderer, lens.aperture, lens.pixel(), self.light.denoise, warm_up or WarmUp(), blocks)
 
     def _check_size(self) -> None:
-        """Raises a SceneError for an image size out of range, before files are loaded and appear in the message."""
+        """Raises a SceneError if ``--width`` or ``--height`` is out of range; call it before files are loaded."""
         given = without_none({"width": self.width, "height": self.height})
         ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), **given)
 
     def load_cameras(self, cameras: Path | None, scene_file: Path | None) -> list[ls.Camera]:
-        """Returns the cameras of ``--cameras``, else of the scene file; empty without any or with viewpoint options.
+        """Returns the cameras of ``--cameras``, else of the scene file, with the size and exposure of the options.
+
+        The list is empty if neither has cameras, or if a viewpoint option such as ``--eye`` is given.
 
         Args:
             cameras: File of ``--cameras``; None without it.
@@ -248,11 +253,11 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in loaded]
 
     def load_camera_path(self, path: Path, cameras: Path | None = None) -> ls.CameraPath:
-        """Returns the camera path of ``--camera-path``.
+        """Loads the camera path of ``--camera-path``, which interpolates between the cameras of a file.
 
         Args:
             path: File of ``--camera-path``.
-            cameras: File of ``--cameras``; None without it.
+            cameras: File of ``--cameras``, which excludes a camera path; None without it.
 
         Raises:
             ConfigError: Other cameras are given, too.
@@ -265,19 +270,19 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return ls.io.load_camera_path(path, width=self.width, height=self.height)
 
     def cameras_on_path(self, path: Path, times: Sequence[float]) -> list[ls.Camera]:
-        """Returns the cameras of ``--camera-path`` at given times; the path is stretched to end at the last time."""
+        """Returns the cameras of ``--camera-path`` at times in seconds, after stretching the path to the last time."""
         whole = self.load_camera_path(path)
         stretched = whole.stretched(float(times[-1])) if times[-1] > 0.0 else whole
         along = (stretched.at(float(time)) for time in times)
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def viewpoint_camera(self, scene: ls.Scene, *files: Path, all_around: bool = False) -> ls.Camera:
-        """Returns the camera that the viewpoint options describe; without options, that of `lumisplat.frame_camera`.
+        """Returns the camera that the viewpoint options describe, else a view of the whole scene, with its exposure.
 
         Args:
             scene: Scene to look at.
             *files: Files of the scene, for error messages.
-            all_around: Argument of `lumisplat.frame_camera`.
+            all_around: True chooses a distance at which the scene fits from all azimuths, for a turntable.
 
         Raises:
             SceneError: The scene is empty or too large; the message names the files.
@@ -292,7 +297,10 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
 
 
 def shared_provenance(command: FrameCommand, config: ls.RenderConfig) -> dict[str, str]:
-    """Returns the values of the options of `FrameCommand` that affect frames, and of all settings, by name."""
+    """Returns the values of all render settings, and of `FrameCommand` options that affect frames, as text by name.
+
+    A later run continues with existing frames only if these values are equal.
+    """
     return {
         "exposure": f"{command.light.exposure}",
         "denoise": f"{command.light.denoise}",
@@ -312,7 +320,7 @@ def frame_remarks(
     device: str = "auto",
     has_actors: bool = False,
 ) -> Iterator[str]:
-    """Yields log lines about options without effect, and about frames that will be unlit, black, patchy or too dark.
+    """Yields warnings about given options without effect, and about frames that will look unlit, black or too dark.
 
     Args:
         config: Settings of the frame.
@@ -320,7 +328,7 @@ def frame_remarks(
         given: Option that the user gave for each setting, by the setting's name.
         light: Light options.
         device: Value of ``--device``.
-        has_actors: Whether an `AvatarLighter` lights actors among the captures, and shadows the captures.
+        has_actors: True if an `AvatarLighter` lights actors by the captures and casts their shadows on them.
     """
     yield from unused_options(config, scene, given, light)
     yield from _unlit_captures(config, scene, has_actors=has_actors)
@@ -332,7 +340,14 @@ def frame_remarks(
 def unused_options(
     config: ls.RenderConfig, scene: ls.Scene, given: Mapping[str, str], light: EnvironmentOptions
 ) -> Iterator[str]:
-    """Yields one log line for each reason why given options have no effect; for the arguments, see `frame_remarks`."""
+    """Yields a warning for each reason why given options have no effect, which names these options.
+
+    Args:
+        config: Settings of the frame.
+        scene: Scene of the frame.
+        given: Option that the user gave for each setting, by the setting's name.
+        light: Light options.
+    """
     lit = config.is_lit(by_default=scene.is_lit_by_default)
     unused = config.unused_settings(lit=lit)
     unused.pop("adaptive", None)  # rendering reports this setting as an error
@@ -354,7 +369,7 @@ def unused_options(
 
 
 def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[str]:
-    """Yields a log line for each lit or shadow-catching capture whose Gaussians do not form a surface."""
+    """Yields a warning for each relit or shadow-catching capture whose Gaussians do not lie on surfaces."""
     if config.lighting is False or not any(light.enabled for light in scene.lights):
         return
     lit = {id(one.gaussians): one for one in scene.splats if one.shadow_catcher or one.material is not None}
@@ -364,7 +379,15 @@ def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: 
 
 
 def _unlit_captures(config: ls.RenderConfig, scene: ls.Scene, *, has_actors: bool) -> Iterator[str]:
-    """Yields a log line if lights affect no capture, or not a capture with an albedo, for want of a material."""
+    """Yields a warning if the scene has lights, but captures without a material, which lights do not affect.
+
+    Warns only if no capture of the scene is relit, or if such a capture stores an albedo and could be relit.
+
+    Args:
+        config: Settings of the frame.
+        scene: Scene of the frame.
+        has_actors: True if actors are lit; captures as captured are then expected.
+    """
     unlit = [one for one in scene.splats if one.material is None and not one.shadow_catcher]
     has_albedo = any(one.gaussians.albedo is not None for one in unlit)
     if config.lighting is False or not unlit or not any(light.enabled for light in scene.lights):
@@ -379,9 +402,9 @@ def _unlit_captures(config: ls.RenderConfig, scene: ls.Scene, *, has_actors: boo
 
 
 def _unlit_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
-    """Yields a log line if one light is alone beside a capture, so that surfaces are black on their unlit sides.
+    """Yields a warning if one light alone lights objects beside a capture, so that their unlit sides are black.
 
-    Several lights are taken as a deliberate choice.
+    No warning with several lights or an environment, nor with bounced light.
     """
     lights = [light for light in scene.lights if light.enabled]
     is_surrounded = any(isinstance(light, ls.LightEnvironment) for light in lights)
@@ -402,7 +425,10 @@ def _unlit_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
 
 
 def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: EnvironmentOptions) -> Iterator[str]:
-    """Yields a log line if only captures light added objects: captured light is too dark, clipped at display white."""
+    """Yields a warning if captures are the only light on added objects: their colours are clipped at display white.
+
+    No warning if ``--capture-gain`` or the scene file sets a gain that compensates for the missing light.
+    """
     bounces = config.pipeline.bounces_light and config.lighting is not False
     relit = [one for one in scene.splats if one.material is not None and not one.shadow_catcher]
     has_captures = len(relit) < len(scene.splats)
@@ -415,6 +441,6 @@ def _clipped_light(config: ls.RenderConfig, scene: ls.Scene, light: EnvironmentO
 
 
 def _needs_light(material: Material) -> bool:
-    """Returns whether a material is black without light; mirrors, glass and emitters are not."""
+    """True if a material is black where no light reaches it: it is not a mirror or glass, and does not emit."""
     own = material.emissive + (material.ambient if isinstance(material, ls.MaterialSimple) else ())
     return not material.is_smooth and not any(own)

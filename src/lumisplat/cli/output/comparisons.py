@@ -1,4 +1,4 @@
-"""Compares images with renders: metrics, JSON, and images side by side."""
+"""Compares images with renders of their cameras: metrics, reports in JSON, and images side by side."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     Picture = npt.NDArray[np.floating]
-    """Image in display colours, 0..1, shape (H, W, 3)."""
+    """Image of display colours (sRGB-encoded), 0..1, shape (H, W, 3)."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Metrics of the frame of one view, compared with the view's image."""
+    """Metrics of a rendered frame against the image that was taken with the same camera."""
 
     view: ls.io.TrainingImage
     figures: Figures
     share: float
-    """Fraction of the image that was compared, 0..1."""
+    """Fraction of the image's pixels that were compared, 0..1; a mask excludes the others."""
     problems: list[str]
-    """Reasons for missing metrics."""
+    """A text for each metric that could not be computed, such as a missing package."""
 
 
 def compare(view: ls.io.TrainingImage, frame: ls.Frame, scales: int) -> Comparison:
-    """Compares an image with a frame of its camera, in the pixels whose mask is at least half.
+    """Compares an image with a frame rendered from its camera, where the image's mask is at least half white.
 
     Args:
         view: The image.
@@ -77,7 +77,7 @@ def write_view_comparison(view: ls.io.TrainingImage, frame: ls.Frame, path: Path
 
 
 def _region(view: ls.io.TrainingImage) -> npt.NDArray[np.bool_]:
-    """Returns True for the pixels of an image that are compared, shape (H, W)."""
+    """Returns a mask of the pixels to compare, shape (H, W): True where the image's mask is at least half white."""
     import numpy as np
 
     mask = view.mask()
@@ -85,7 +85,7 @@ def _region(view: ls.io.TrainingImage) -> npt.NDArray[np.bool_]:
 
 
 Figures = dict[str, float]
-"""Metric values by name; NaN marks a missing value."""
+"""Metric values by metric name; NaN if a metric could not be computed."""
 
 _DIGITS = {"psnr": 2, "ncm_ab": 2}
 
@@ -97,7 +97,7 @@ def mean(values: Sequence[float]) -> float:
 
 
 def plain(figures: Figures) -> dict[str, float | str | None]:
-    """Converts metric values to JSON values: null for NaN, ``"inf"`` for infinity."""
+    """Converts metric values to values that JSON can store: null for NaN, ``"inf"`` for infinity."""
     return {
         name: None if math.isnan(value) else "inf" if math.isinf(value) else value for name, value in figures.items()
     }
@@ -114,11 +114,11 @@ def digits(name: str, value: float) -> str:
 
 
 _GAIN = 4.0
-"""Factor by which difference images are amplified."""
+"""Factor on the absolute difference of two images in difference images."""
 
 
 def check_report(folder: Path, images: Iterable[Path]) -> None:
-    """Checks that a report folder can be written, and holds no compared image, which the report would overwrite.
+    """Checks that a report can be written to a folder, and that the folder has no input image that it might overwrite.
 
     Args:
         folder: Folder of the report.
@@ -159,12 +159,12 @@ def write_image(path: Path, color: Picture) -> None:
 def write_comparison(
     path: Path, rows: Sequence[tuple[Picture, Picture]], region: npt.NDArray[np.bool_] | None = None
 ) -> None:
-    """Writes pairs of images as rows of a PNG, each with the pair's difference, amplified four times.
+    """Writes a PNG with a row for each pair of images: both images, and their absolute difference times four.
 
     Args:
         path: Path of the PNG.
         rows: Pairs of images, from top to bottom.
-        region: Pixels whose difference is shown, shape (H, W); None shows all.
+        region: Pixels whose difference is shown, shape (H, W), others are black; None shows all.
 
     Raises:
         FormatError: The file cannot be written.
@@ -178,7 +178,7 @@ def write_comparison(
 
 @contextmanager
 def _replaced(path: Path) -> Generator[Path]:
-    """Yields a temporary file that replaces ``path`` if the block succeeds; otherwise ``path`` stays unchanged.
+    """Context that yields a temporary path: on success its file replaces ``path``, on errors ``path`` stays as it is.
 
     Raises:
         FormatError: The file cannot be written.

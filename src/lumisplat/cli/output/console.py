@@ -16,22 +16,23 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LINE_EVERY_S = 60.0
-"""Time between two progress lines where no terminal can show bars, seconds."""
+"""Time between two printed progress lines if standard error is no terminal, seconds."""
 
 _PACE_KNOWN = 0.02
-"""Progress from which the remaining time is estimated: preparation takes much of the time before."""
+"""Progress, as a fraction 0..1 since a bar's first report, from which its remaining time is estimated; preparation
+would distort earlier estimates."""
 
 _NARROW = 100
 """Terminal width, in columns, below which progress bars are short, so that most labels fit beside them."""
 _BAR_NARROW, _BAR_WIDE = 10, 40
 
 Report = Callable[[str, float], None]
-"""Function that receives progress: a label, and the completed fraction, 0..1."""
+"""Progress function: receives a label and the completed fraction, 0..1; the fraction 1 ends the label."""
 
 
 @contextmanager
 def progress_bars() -> Generator[Report]:
-    """Yields a progress function that shows a bar for each label until the label's fraction is 1.
+    """Context that yields a progress function, which shows a bar for each label until the label's fraction is 1.
 
     Text after a comma in a label may change between reports without a new bar. Bars show the estimated remaining time,
     and disappear at the end. Without a terminal, a line is printed each minute instead.
@@ -53,7 +54,7 @@ def progress_bars() -> Generator[Report]:
     )
     with Progress(*columns, console=console, transient=True, disable=is_hidden, expand=is_narrow) as bars:
         tasks: dict[str, tuple[TaskID, float, float]] = {}
-        """Bar of each label, with the time and the fraction of the label's first report."""
+        """Bar of each label, with the time (monotonic clock, seconds) and the fraction of its first report."""
 
         last_line = 0.0 if console.is_terminal else time.monotonic()
 
@@ -79,14 +80,14 @@ def progress_bars() -> Generator[Report]:
 
 
 def quiet_warp() -> None:
-    """Hides Warp's banner, messages and warnings. Call it before the first use of a device."""
+    """Hides the banner, messages and warnings of NVIDIA Warp. Call it before the first use of a device."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
 
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:
-    """Prints name and value pairs as a table, without interpreting markup, and with ``?`` for control characters."""
+    """Prints (name, value) rows as a table; control characters become ``?``, and rich's markup is not interpreted."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
@@ -121,7 +122,7 @@ def _print(table: Table) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """Returns an error's message and notes without line breaks."""
+    """Returns an error's message and its notes (`add_note`) joined to one line."""
     notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: cannot be read or written: {error.strerror}{notes}"
@@ -136,12 +137,12 @@ def counted(count: int, noun: str, plural: str | None = None) -> str:
 
 
 def light_positions(lights: Iterable[ls.LightPoint]) -> str:
-    """Returns the positions of lights as text."""
+    """Returns the world positions of lights as text for a log line."""
     return ", ".join(f"({', '.join(f'{x:z.3g}' for x in light.position)})" for light in lights)
 
 
 def found_light(lighter: ls.AvatarLighter) -> str | None:
-    """Returns a description of the estimated shadow-casting lights; None if lights were given."""
+    """Returns a text about the lights that an `AvatarLighter` has estimated; None if the scene has lights itself."""
     if lighter.estimate is not None:
         return light_positions(lighter.estimate.lights)
     if lighter.sun is not None:
@@ -151,7 +152,13 @@ def found_light(lighter: ls.AvatarLighter) -> str | None:
 
 
 def _time_left(seconds: float, first: float, fraction: float) -> str:
-    """Estimates the remaining time, as text, if ``first`` to ``fraction`` took a time; empty until `_PACE_KNOWN`."""
+    """Returns the estimated remaining time as text; empty while too little is done for an estimate.
+
+    Args:
+        seconds: Time since the label's first report.
+        first: Fraction of the first report.
+        fraction: Current fraction.
+    """
     if fraction - first < _PACE_KNOWN:
         return ""
     return f"{duration_text(seconds * (1.0 - fraction) / (fraction - first))} left"
@@ -175,7 +182,7 @@ def byte_size(count: float) -> str:
 
 
 def up_name(direction: tuple[float, float, float]) -> str:
-    """Returns the name of an up direction, such as ``y-down``, or its numbers."""
+    """Returns the name of an up direction along an axis, such as ``y-down``; three numbers for other directions."""
     named = (name for name in ls.Scene.UP_NAMES if ls.Scene(up=name).up == direction)
     return next(named, ",".join(f"{value:.3g}" for value in direction))
 
@@ -186,14 +193,14 @@ def print_stats(frame: ls.Frame, pipeline: ls.Pipeline) -> None:
 
 
 def stage_times(frame: ls.Frame) -> dict[str, float]:
-    """Returns the time of each stage of a frame, milliseconds; empty on CUDA without profiling."""
+    """Returns the time of each render stage of a frame, milliseconds; empty for a GPU frame without profiling."""
     return dict(frame.stats.stage_ms) if frame.stats else {}
 
 
 def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
-    """Returns table rows with the milliseconds of each stage and their sum; empty if stages were not timed.
+    """Returns (name, milliseconds) rows of a table of render stages and their sum; empty if stages were not timed.
 
-    A stage name ``PASS: STAGE`` adds a row with the total of each pass, followed by the rows of its stages.
+    Stages with names such as ``PASS: STAGE`` are grouped under a row with the total of their pass.
     """
     if not stage_ms:
         return []
@@ -210,7 +217,7 @@ def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
 
 
 def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
-    """Returns table rows with memory and counts: Gaussians, triangles, visible splats, and tiles touched by splats."""
+    """Returns (name, value) rows: memory, and numbers of Gaussians, triangles, visible splats and tiles with splats."""
     stats = frame.stats
     assert stats is not None
     rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]
@@ -226,11 +233,11 @@ def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
 _log = logging.getLogger("lumisplat")
 
 _LONG_S = 60.0
-"""Expected time of the remaining frames above which a log line announces it, seconds."""
+"""Remaining time of all frames, seconds, above which a warning says how long they take."""
 
 
 class FrameProgress:
-    """Progress bar of all frames. If they take more than a minute, logs the expected time and how to shorten it.
+    """Shows the progress of rendering many frames; if they will take over a minute, warns and says how to shorten it.
 
     Args:
         report: Receives the progress.
@@ -246,7 +253,7 @@ class FrameProgress:
         report(label, 0.0)
 
     def add(self, frame: ls.Frame | ls.farm.SamplePart | None) -> None:
-        """Counts a frame that has been rendered and written; None counts a frame that another process has made."""
+        """Counts a finished frame; None counts a frame whose file another process has written."""
         before, self._since = self._since, time.monotonic()
         self._done += 1
         if self._done == 2:  # the first frame may include compilation and upload
@@ -254,7 +261,12 @@ class FrameProgress:
         self._report(self._label, self._done / self._count)
 
     def _announce(self, seconds: float, samples: int) -> None:
-        """Logs the expected time of the remaining frames if it is long, given the ``seconds`` of one frame."""
+        """Logs how long the remaining frames will take, if over `_LONG_S`, and which options make them faster.
+
+        Args:
+            seconds: Time of one frame.
+            samples: Samples per pixel of that frame; if several, ``--samples 1`` is suggested, too.
+        """
         left = self._count - self._done
         if left * seconds > _LONG_S:
             remedies = [f"fewer frames ({self._fewer})"] * bool(self._fewer) + ["--samples 1"] * (samples > 1)

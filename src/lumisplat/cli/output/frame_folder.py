@@ -1,9 +1,9 @@
-"""Folder of rendered frames, which records the scene and the settings that the frames were made from.
+"""Folder of rendered frames, with a stamp: a JSON file that stores what the frames were rendered from.
 
-Frames are written whole or not at all, so that existing ones need not be rendered again. A stamp file beside them,
-``animate.json`` (``orbit.json`` of an orbit, ``render.json`` of images), stores their provenance: the values of
-everything that affects them. A run whose provenance differs does not continue with these frames. Videos are made from
-the files of the frames.
+Frames are written whole or not at all, so that existing ones need not be rendered again. The stamp,
+``animate.json`` (``orbit.json`` of an orbit, ``render.json`` of images), stores the provenance: the values of all
+settings and files that affect frames. A command with another provenance does not continue with the existing frames.
+Videos are made from the files of the frames.
 """
 
 from __future__ import annotations
@@ -38,24 +38,25 @@ _FRAME = re.compile(r"frame_\d{4,}\.(png|exr|npz)")
 
 @dataclass(frozen=True)
 class FrameFolder:
-    """Folder of the frames of one animation, or of other files that a command makes one by one."""
+    """Folder into which a command writes frames, or other files, one by one, so that a later run can continue."""
 
     folder: Path
     extension: str
     stamp: str = "animate.json"
-    """File name of the stamp, which stores the provenance of the frames."""
+    """Name of the JSON file in the folder that stores the provenance: all settings and files that the frames depend
+    on."""
     names: tuple[str, ...] | None = None
-    """File names of the frames; None names them ``frame_0000`` and so on."""
+    """File name of each frame, relative to the folder; None numbers the files ``frame_0000`` and so on."""
     is_default: bool = field(default=False, kw_only=True)
-    """True if the user did not name the folder. Frames of other settings are then replaced, and a log line says so."""
+    """True if the user did not name the folder: frames of other settings in it are then replaced, which is logged."""
 
     @staticmethod
     def named_after(output: Path | None, video: Path | None, otherwise: str, extension: str, stamp: str) -> FrameFolder:
-        """Returns the folder that the user named, else one named after the video, else the default.
+        """Returns the folder of ``-o``, else a folder named like the video, else the folder ``otherwise``.
 
         Args:
             output: Value of ``-o``; None if the user named no folder.
-            video: Value of ``--video``.
+            video: Value of ``--video``; None without it.
             otherwise: Name of the folder without a video.
             extension: Extension of the frames.
             stamp: File name of the stamp.
@@ -68,26 +69,26 @@ class FrameFolder:
         return self.folder / (f"frame_{index:04d}.{self.extension}" if self.names is None else self.names[index])
 
     def holds(self, path: str) -> bool:
-        """Returns whether a path is the folder or lies in it."""
+        """True if a path is this folder, or is inside it."""
         folder = Path(os.path.abspath(self.folder))
         return folder in (Path(os.path.abspath(path)), *Path(os.path.abspath(path)).parents)
 
     def is_finished(self, index: int) -> bool:
-        """Returns whether a frame exists."""
+        """True if the frame with a number need not be made: its file exists."""
         return self.path(index).is_file()
 
     def is_stopped(self, index: int) -> bool:
-        """Returns whether a frame is unfinished because it reached a time limit; the same command then continues it."""
+        """True if a frame was begun and stopped at a time limit, so that a later run continues it; False here."""
         return False
 
     def tidy(self, index: int) -> None:
-        """Removes files that are no longer needed once a frame exists; none in this class."""
+        """Removes the files that were needed only to make the frame with a number; does nothing in this base class."""
 
     def prepare(self, provenance: Mapping[str, str], overwrite: bool) -> None:
-        """Creates the folder and its stamp; existing frames of the same provenance stay.
+        """Creates the folder and its stamp. Existing frames stay if they have the same provenance.
 
         Args:
-            provenance: Values of everything that the frames depend on, by name.
+            provenance: Values of all settings and files that the frames depend on, as text by name.
             overwrite: True removes all existing frames first.
 
         Raises:
@@ -133,10 +134,10 @@ class FrameFolder:
             path.unlink(missing_ok=True)
 
     def check_current(self, provenance: Mapping[str, str]) -> None:
-        """Checks that no run with other settings has started in the folder.
+        """Checks that the stamp still has this command's provenance: no run with other settings has taken the folder.
 
         Raises:
-            ConfigError: Another run has started, or the stamp is missing.
+            ConfigError: The stamp differs or is missing.
         """
         stored = stored_provenance(self.folder / self.stamp)
         if stored is None or self._differing(stored, provenance):
@@ -153,7 +154,18 @@ class FrameFolder:
         return sorted(path for path in self.folder.iterdir() if _FRAME.fullmatch(path.name))
 
     def _check(self, stamp: Path, provenance: Mapping[str, str]) -> bool:
-        """Returns whether existing frames have to be replaced; raises a ConfigError if the user has to decide."""
+        """Decides about existing frames: True if they must be replaced, False if they can stay.
+
+        They can stay if they have this provenance. They are replaced if only values differ and the user named no
+        folder.
+
+        Args:
+            stamp: Path of the stamp file.
+            provenance: Values of all settings and files that the new frames depend on.
+
+        Raises:
+            ConfigError: The user has to decide: the stamp is missing, or the folder was named and its frames differ.
+        """
         advice = f"give --overwrite to remove them, or another folder{' by -o' if self.is_default else ''}"
         stored = stored_provenance(stamp)
         if stored is None:
@@ -169,7 +181,7 @@ class FrameFolder:
         return True
 
     def _begun_by_another(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> ls.ConfigError:
-        """Returns the error about a run with other settings that has started here but has not written a frame yet."""
+        """Returns the error for a stamp of another provenance in a folder without frames: another run may be active."""
         differing = self._differing(stored, provenance)
         return ls.ConfigError(
             f"{self.folder}: another run has begun there, which differs in {_listed(differing)}: "
@@ -177,23 +189,24 @@ class FrameFolder:
         )
 
     def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
-        """Returns the values to store in the stamp."""
+        """Returns the values to write into the stamp: the provenance of this run."""
         return dict(provenance)
 
     def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
-        """Returns the names whose values differ between a stamp and a provenance."""
+        """Returns the names of the values in which a stamp and a provenance differ; a missing value differs, too."""
         return sorted(name for name in {*stored, *provenance} if stored.get(name) != provenance.get(name))
 
 
 def _listed(names: list[str]) -> str:
-    """Returns at most three names as text, and how many more there are."""
+    """Returns a text with the first three names, and the number of further ones."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _create_stamp(temporary: Path, stamp: Path) -> bool:
-    """Renames a file to the stamp's name, unless a stamp exists; returns True on success.
+    """Renames a temporary file to the stamp's path unless a stamp exists; returns False if one does.
 
-    If two runs do this at the same time, one of them succeeds.
+    Of two runs at the same time, only one succeeds (on file systems without hard links, the later one replaces the
+    stamp).
     """
     try:
         os.link(temporary, stamp)
@@ -205,7 +218,7 @@ def _create_stamp(temporary: Path, stamp: Path) -> bool:
 
 
 def stored_provenance(stamp: Path) -> dict[str, object] | None:
-    """Returns the content of a stamp; None if the file is missing or is not a JSON object."""
+    """Returns the values that a stamp file stores; None if the file is missing or is not a JSON object."""
     try:
         stored: Any = json.loads(stamp.read_text())
     except (OSError, ValueError):
@@ -214,7 +227,12 @@ def stored_provenance(stamp: Path) -> dict[str, object] | None:
 
 
 def flat_settings(prefix: str, settings: DataclassInstance) -> Iterator[tuple[str, str]]:
-    """Yields name and value of each setting as text; settings of a group are named ``group.name``."""
+    """Yields (name, value as text) of each field of a settings object; fields of a group are named ``group.field``.
+
+    Args:
+        prefix: Text before each name.
+        settings: The settings.
+    """
     for entry in fields(settings):
         value = getattr(settings, entry.name)
         if is_dataclass(value) and not isinstance(value, type):
@@ -250,7 +268,13 @@ def check_video(path: Path, fps: float) -> None:
 
 
 def write_video(path: Path, frames: Sequence[Path], fps: float, report: Report) -> None:
-    """Writes image files as a video.
+    """Writes a video from image files, one frame from each.
+
+    Args:
+        path: Path of the video; its extension selects the format.
+        frames: Image files, in order.
+        fps: Frames per second.
+        report: Receives the progress.
 
     Raises:
         FormatError: The video cannot be written.

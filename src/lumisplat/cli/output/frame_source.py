@@ -1,4 +1,4 @@
-"""Renders the frames of a command, with focus, real-time warm-up and denoising."""
+"""Renders the frames of a command: sets the focus, warms up the realtime pipeline, and denoises."""
 
 from __future__ import annotations
 
@@ -13,52 +13,58 @@ from lumisplat.cli.output.console import Report, counted
 _log = logging.getLogger("lumisplat.noise")  # the library logs noise under this name, too
 
 NOISE_MAX = 0.1
-"""Relative noise of a path-traced frame above which a log line gives advice: 5 % of the pixels are off by a tenth or
-more."""
+"""Relative noise of a path-traced frame above which a warning says how to reduce it; at 0.1, one pixel in 20 is off by
+10 % or more."""
 
 
 REALTIME_FRAMES = 32
-"""Default number of real-time frames rendered for the first view; only the last one is shown."""
+"""Default number of frames that the realtime pipeline renders of a new view; it keeps only the last, which reuses the
+samples of all."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WarmUp:
-    """Number of real-time frames that are rendered before one is shown, and when."""
+    """How many frames the realtime pipeline renders of one view to gather samples, of which only the last is kept."""
 
     frames: int = REALTIME_FRAMES
-    """Number of frames rendered for one view; only the last one is shown."""
+    """Number of frames that are rendered of one view; the last one is kept, the others are discarded."""
     each: bool = False
-    """True if each image needs a warm-up, because views are unrelated; False if only the first frame of a sequence
-    does."""
+    """True warms up before each image, for unrelated views; False only before the first frame of a sequence, and after
+    `FrameSource.cut`."""
 
 
 class SceneForView(Protocol):
-    """Provider of a scene for each view."""
+    """Interface of an object that provides the part of a large scene that a camera sees."""
 
     def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
-        """Returns the part of the scene that a camera sees; calls ``release`` before it loads another part."""
+        """Returns the part of the scene that a camera sees; calls ``release`` before it loads a different part."""
         ...
 
 
 @dataclass
 class FrameSource:
-    """Renders frames with focus, warm-up and denoising."""
+    """Renders the frames of a command with focus, warm-up of the realtime pipeline, and denoising."""
 
     renderer: ls.Renderer
     aperture: float | None = None
     """Lens radius in scene units; None keeps the camera's own."""
     focus: tuple[int, int] | None = None
-    """Column and row of the pixel in focus; None keeps the camera's focus."""
+    """Column and row of the pixel whose surface is in focus; None keeps the camera's focus distance."""
     denoises: bool = False
-    """True if lit frames are denoised."""
+    """True if frames that lights affect are denoised; unlit frames never are."""
     warm_up: WarmUp = field(default_factory=WarmUp)
     blocks: SceneForView | None = None
-    """Provider of the visible part of a capture in blocks; None if whole scenes are rendered."""
+    """Loads the blocks of a capture that a camera sees; None if whole scenes are rendered."""
     _is_warm: bool = field(default=False, init=False)
     _has_warned: bool = field(default=False, init=False)
 
     def frame(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
-        """Renders and finishes one frame.
+        """Renders one frame, focused, warmed up and denoised as this object says.
+
+        Args:
+            scene: The scene; ignored if `blocks` provides it.
+            camera: The camera.
+            report: Receives the progress.
 
         Raises:
             ConfigError: ``--focus`` is given without an aperture, or with a pipeline without rays.
@@ -70,7 +76,7 @@ class FrameSource:
         return self.finished(self._rendered(scene, self.focused(scene, camera), report))
 
     def focused(self, scene: ls.Scene, camera: ls.Camera) -> ls.Camera:
-        """Returns the camera with the options' aperture and focus.
+        """Returns a camera with the lens radius of ``--aperture``, focused on the surface in the pixel of ``--focus``.
 
         Raises:
             ConfigError: ``--focus`` is given without an aperture, or with a pipeline without rays.
@@ -80,7 +86,7 @@ class FrameSource:
         return camera if self.focus is None else self._focused(scene, camera, *self.focus)
 
     def finished(self, frame: ls.Frame) -> ls.Frame:
-        """Returns a rendered frame, denoised if asked; otherwise logs advice about noise, at most once."""
+        """Returns a lit frame denoised if `denoises` is True; else the frame itself, and warns once if it is noisy."""
         if self.denoises and frame.has("light"):
             return frame.denoised()
         if not self._has_warned and (line := noise_advice(frame)):
@@ -89,7 +95,7 @@ class FrameSource:
         return frame
 
     def cut(self) -> None:
-        """Marks the next frame as unrelated to the previous one, so that real-time frames need a new warm-up."""
+        """Declares that the next frame does not follow the last one, so that the realtime pipeline warms up again."""
         self._is_warm = False
 
     def _rendered(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
@@ -108,14 +114,14 @@ class FrameSource:
         return frame
 
     def _focused(self, scene: ls.Scene, camera: ls.Camera, x: int, y: int) -> ls.Camera:
-        """Returns the camera focused on the surface in a pixel."""
+        """Returns the camera focused on the surface in the pixel of column ``x`` and row ``y``."""
         if camera.aperture == 0.0:
             raise ls.ConfigError("--focus needs a lens: --aperture gives its radius, in units of the scene")
         return self.renderer.focused(scene, camera, x, y)
 
 
 def noise_advice(frame: ls.Frame) -> str | None:
-    """Returns advice on reducing the noise of a path-traced frame; None if noise is low or was chosen by the user."""
+    """Returns how to reduce the noise of a path-traced frame; None if it is low, or if the settings limit the noise."""
     config, noise = frame.config, None if frame.stats is None else frame.stats.noise
     if config is None or not config.pipeline.traces_paths or config.noise is not None:
         return None

@@ -1,4 +1,4 @@
-"""Writes the image files of cameras, with their layers and false-colour views."""
+"""Writes the images of a command: a file per camera, with layers beside the colour, or a false-colour view instead."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ import lumisplat as ls
 FORMATS = ("png", "exr", "npz")
 _UNSAFE = re.compile(r"[^\w.-]+")
 _STEM_BYTES = 150
-"""Longest file stem in UTF-8 bytes, so that layer names and suffixes fit below the usual limit of 255."""
+"""Largest length of a file name without extension, UTF-8 bytes; suffixes then fit below the usual limit of 255."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """Camera to render, and the image file to write."""
+    """A camera to render, and the path of the image to write."""
 
     camera: ls.Camera
     path: Path
 
 
 def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path, format_name: str) -> list[Shot]:
-    """Decides which cameras are rendered to which files.
+    """Returns a camera and an image path for each image to render.
 
     Args:
         cameras: All cameras.
@@ -67,7 +67,7 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
-    """Returns a safe file stem for each frame name, numbered where two would be equal ignoring case."""
+    """Returns a file name without extension for each frame name: safe characters, numbered if equal ignoring case."""
     taken: set[str] = set()
     copies: dict[str, int] = {}
     stems: list[str] = []
@@ -84,7 +84,7 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
 
 def check_writable(output: Path) -> None:
-    """Checks that images can be written, before anything slow is done; leaves no file behind.
+    """Checks that images can be written to ``-o``, before anything slow is done; leaves no file behind.
 
     Args:
         output: Argument of `plan_shots`.
@@ -142,21 +142,22 @@ _LEGENDS = {
     "probes": "refreshes of screen probes from {:.0f} (violet) to {:.0f} (yellow), logarithmic",
     "hits": "Gaussians per ray from {:.0f} (violet) to {:.0f} (yellow), logarithmic; none: black",
 }
-"""Meaning of the colours of each view whose colours depend on the scene."""
+"""Text that explains the colours of a false-colour view; its two gaps take the lower and upper end of the colour
+scale."""
 
 
 @dataclass(frozen=True)
 class Layers:
-    """Layers, mattes and deep samples that ``--aov`` asks for."""
+    """What ``--aov`` asks to write besides the colour: image layers, Cryptomatte mattes and deep samples."""
 
     names: tuple[str, ...]
-    """Layers that the frame itself contains."""
+    """Image layers that are written from AOVs of the frame, such as ``depth``; without ``cryptomatte`` and ``deep``."""
     cryptomatte: bool
     deep: bool
 
     @classmethod
     def of(cls, text: str) -> Layers:
-        """Parses layer names that are separated by commas.
+        """Parses the value of ``--aov``: layer names separated by commas.
 
         Raises:
             ConfigError: A name is not that of a layer.
@@ -174,7 +175,7 @@ class Layers:
 
 @dataclass
 class FrameWriter:
-    """Writes frames with their layers, or one false-colour view of each frame.
+    """Writes image files: each frame with its layers, or one false-colour view of each frame.
 
     The colour scale of a view is set by the first frame, so that colours mean the same in all frames of a run.
 
@@ -183,10 +184,11 @@ class FrameWriter:
     """
 
     layers: tuple[str, ...]
-    """Names of the layers."""
+    """Names of the layers to write besides the colour."""
     view: ViewName | None
     legend: str | None = field(default=None, init=False)
-    """Meaning of the view's colours or of depth values, as text; None before a frame has been written."""
+    """Text that explains the colours of the view, or the values of a 16-bit depth PNG; None before a frame has been
+    written, or if nothing needs explaining."""
     _limits: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -195,7 +197,7 @@ class FrameWriter:
 
     @property
     def aovs(self) -> tuple[str, ...]:
-        """AOVs that ``RenderConfig.aovs`` must list for the layers or the view."""
+        """AOVs that `RenderConfig.aovs` must list so that frames contain the layers or the view."""
         names = (*self.layers, self.view or "")
         return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
 
@@ -218,7 +220,14 @@ class FrameWriter:
 
 
 def _depth_legend(path: Path, frame: ls.Frame, *, first: bool) -> str:
-    """Returns the meaning of 16-bit depth: the range of the first frame, or where each later file stores its range."""
+    """Returns how the values of a 16-bit depth PNG map to scene units.
+
+    Args:
+        path: Path of the PNG.
+        frame: Frame whose depth it stores.
+        first: True for the first file of a run, whose range is given as numbers; for later ones, the text says that
+            each file stores its own range.
+    """
     if not first:
         return (
             ".depth16.png: depth in scene units, from depth_near (1) to depth_far (65535) of each file's text; 0: none"
@@ -233,7 +242,7 @@ STANDARD_OUTPUT = Path("-")
 
 
 def refuse_standard_output(output: Path | None) -> None:
-    """Raises an error for ``-o -``, in commands that write several files.
+    """Raises an error if ``-o`` is ``-``; for commands that write several files.
 
     Raises:
         ConfigError: ``-o -`` is given.
@@ -244,7 +253,7 @@ def refuse_standard_output(output: Path | None) -> None:
 
 @contextlib.contextmanager
 def standard_output(suffix: str) -> Generator[Path]:
-    """Yields a temporary file whose content is copied to standard output if the ``with`` block succeeds.
+    """Context that yields a temporary file, which is copied to standard output if the block succeeds.
 
     Text that the block prints appears on standard error.
 
