@@ -175,12 +175,12 @@ def _arguments(args: Sequence[str]) -> tuple[list[str], str]:
 
 
 def _commands(union: Any) -> dict[str, type[Any]]:
-    """Returns the command classes of a tyro union by command name."""
+    """Returns the command class by command name from a union of tyro subcommands."""
     return {named.name: command for command, named in map(get_args, get_args(union))}
 
 
 def _run(command: Command) -> int:
-    """Runs a command and returns its exit status."""
+    """Runs a command, prints its errors on standard error, and returns the exit status of the process."""
     try:
         with logging_in_shell_words(command):
             command.run()

@@ -1,4 +1,4 @@
-"""The gizmo that moves and rotates the selected object on pages."""
+"""The gizmo (arrows and rings on pages) with which users move and rotate the selected scene entry."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def _rotation_of_edges(edge_u: npt.ArrayLike, edge_v: npt.ArrayLike) -> Matrix:
 
 
 class Gizmo:
-    """The transform gizmo of the selected entry, on all pages.
+    """Transform gizmo that all pages show at the selected scene entry; dragging it moves the entry.
 
     Args:
         scene_api: Scene of the pages, from viser.
@@ -178,14 +178,14 @@ class Gizmo:
         self._handles = 0
         """Number of gizmos created so far, which numbers their scene nodes."""
         self._attached: tuple[int, GizmoPose] | None = None
-        """Id of the entry that the gizmo is shown for, and the gizmo's pose; None while no gizmo is shown."""
+        """Id of the scene entry at which the gizmo is shown, and the gizmo's pose; None while no gizmo is shown."""
         self._drag: Drag | None = None
         self._dragged_at = 0.0
         session.on_change(self.follow)
 
     @property
     def node(self) -> str:
-        """Name of the newest gizmo's scene node on pages."""
+        """Name in viser's scene of the gizmo that was created last."""
         return _NODE.format(self._handles)
 
     def follow(self) -> None:
@@ -256,7 +256,7 @@ class Gizmo:
             self._session.apply(lambda document: with_dragged_entry(document, drag, now, extent), name, within=math.inf)
 
     def _new_drag(self) -> Drag | None:
-        """Returns a drag that starts at the current pose of the selected entry; None without a gizmo."""
+        """Returns a drag of the selected entry that starts where its gizmo is; None if no gizmo is shown for it."""
         entry = self._session.selected_entry
         if self._attached is None or entry is None or entry.id != self._attached[0]:
             return None
@@ -281,7 +281,10 @@ class Gizmo:
 
 
 def _drag_event_of(event: viser.TransformControlsEvent) -> tuple[str, Matrix]:
-    """Returns the phase of a drag event and the gizmo's pose in page units."""
+    """Returns the phase (``start``, ``update`` or ``end``) of viser's drag event, and the gizmo's 4 x 4 transform.
+
+    The transform is in page units.
+    """
     from viser import transforms
 
     matrix = np.eye(4)

@@ -47,7 +47,7 @@ class Orbit:
 
     @classmethod
     def of(cls, eye: npt.ArrayLike, target: npt.ArrayLike, up: npt.ArrayLike, fov_y: float) -> Orbit:
-        """Creates the camera that looks from an eye at a target; clamps its elevation to `ELEVATION_MAX`."""
+        """Returns a camera that looks from an eye at a target; an elevation beyond +-`ELEVATION_MAX` is clamped."""
         offset = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
         distance = float(np.linalg.norm(offset))
         orbit = cls(_vector(target), _vector(offset / distance), distance, _vector(_unit(up)), fov_y)
@@ -60,7 +60,7 @@ class Orbit:
 
     @property
     def elevation(self) -> float:
-        """Angle of the eye above the ground plane through the target, radians."""
+        """Angle of the camera above the horizontal plane through its target, radians; negative below."""
         return math.asin(min(max(float(np.dot(self.backward, self.up)), -1.0), 1.0))
 
     def rotated(self, around: float, above: float) -> Orbit:
@@ -98,7 +98,7 @@ class Orbit:
         return replace(self, distance=min(max(factor * self.distance, nearest), farthest))
 
     def pose(self, aspect: float) -> Pose:
-        """Returns the camera as a page pose with the given aspect ratio, width over height."""
+        """Returns the camera as the pose of a page whose frames have an aspect ratio, width over height."""
         camera = ls.Camera.look_at(self.eye, self.target, self.up, width=2, height=2, fov_y=self.fov_y)
         return replace(Pose.through(camera, self.distance), aspect=aspect)
 
@@ -145,7 +145,7 @@ class PointerControl:
         self.orbit, self._size = orbit, size
         self._width, self._height = width, height
         self._at: tuple[float, float] | None = None
-        """Last pointer position while a button is down; None otherwise."""
+        """Pointer position of the last event, page pixels, while a mouse button is down; None otherwise."""
         self._path_length = 0.0
 
     @property
@@ -218,12 +218,13 @@ class Notebook:
         self._session, self._loop, self._url = session, loop, url
         self._cell: Cell | None = None
         self._missing = ""
-        """Message that names the package to install for live frames; empty if none is missing."""
+        """Error message that names the package missing for live frames, added to the text output; empty if none is
+        missing."""
 
     def bundle(
         self, text: str, view: FirstView, include: Collection[str] | None, exclude: Collection[str] | None
     ) -> Bundle:
-        """Returns the representations of the viewer for a notebook cell.
+        """Returns what a notebook cell displays for the viewer, by MIME type: live frames, a still image, text.
 
         Args:
             text: Plain-text representation.
@@ -253,7 +254,7 @@ class Notebook:
         return data, about
 
     def close(self) -> None:
-        """Stops the live frames in cells."""
+        """Stops the live frames in notebook cells; their last frame stays."""
         if self._cell is not None:
             self._cell.close()
 
@@ -272,7 +273,7 @@ class Notebook:
         return self._cell
 
     def _picture(self, orbit: Orbit) -> ls.Frame | None:
-        """Renders a still frame of the scene; returns None if rendering fails or takes too long."""
+        """Renders a still frame from a camera; returns None if rendering fails or no frame comes in time."""
         page = Page(_NullScreen(), self._session.changed)
         page.set_pose(orbit.pose(ASPECT))
         self._loop.add(page)
@@ -301,7 +302,7 @@ class _NullScreen:
     """Screen that discards images, for a page whose frames are read from `Page.frame` instead of being displayed."""
 
     def show(self, shown: ScreenImage) -> None:
-        """Returns at once."""
+        """Discards the image and returns at once."""
 
     def close(self) -> None:
         """Does nothing, because `show` never waits."""
@@ -334,7 +335,7 @@ class Cell:
         self.buffer = frame_buffer(WIDTH, HEIGHT, self._on_event)
         self._line = ipywidgets.HTML()
         self.widget = ipywidgets.VBox([self.buffer, self._line])
-        """The widget that the notebook displays."""
+        """ipywidgets box with the live frame and the text line, which the notebook displays."""
         self.page = Page(CellScreen(self.buffer), session.changed)
         self.notify("")
         session.error_listeners.append(self.notify)

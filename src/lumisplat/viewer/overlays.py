@@ -29,7 +29,7 @@ _INSET_FRAME = (110, 110, 110)
 
 
 def with_overlays(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
-    """Returns an image with the overlays that the view options ask for."""
+    """Returns an image of a frame with the outlines, grid and insets that the session's view options switch on."""
     with session.changed:
         options = session.options
         outlines = _outlines(session) if options.outlines else []
@@ -164,14 +164,18 @@ def points_outline(points: Sequence[npt.ArrayLike], size: float) -> Outline:
 
 
 def box_outline(corners: npt.ArrayLike) -> Outline:
-    """Returns the edges of a box, given its corners in the order of `world_corners`, shape (8, 3)."""
+    """Returns the twelve edges of a box as an outline.
+
+    Args:
+        corners: Corners in world space, in the order of `world_corners`, shape (8, 3).
+    """
     at = np.asarray(corners, np.float64)
     pairs = [(a, a | 1 << axis) for a in range(8) for axis in range(3) if not a >> axis & 1]
     return Outline(tuple(_line_points(at[a], at[b]) for a, b in pairs), _SELECTED)
 
 
 def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outline:
-    """Returns a ground grid whose line spacing is a power of ten.
+    """Returns a square grid on the ground; the distance between its lines is a power of ten, scene units.
 
     Args:
         center: Point on the ground, world space.

@@ -16,7 +16,7 @@ class Pick:
     """Surface that is visible at a clicked point of a frame."""
 
     instance: int
-    """Index of the instance in the scene: captures first, then meshes."""
+    """Index into the scene's instances, where captures come first, then meshes."""
     gaussian: int
     """Index of the Gaussian within its capture; -1 for a mesh."""
     depth: float
@@ -26,7 +26,7 @@ class Pick:
 
 
 def picked(frame: ls.Frame, across: float, down: float) -> Pick | None:
-    """Returns the visible surface at a point of a frame; None if no surface is there.
+    """Returns the surface that is visible at a point of a frame; None if the background is.
 
     Args:
         frame: Last frame of the page, at any resolution.

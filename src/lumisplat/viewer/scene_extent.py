@@ -34,7 +34,7 @@ class Extent:
 
     @classmethod
     def of(cls, scene: ls.Scene) -> Extent:
-        """Measures a scene; an empty scene has size 1 at the origin."""
+        """Measures a scene's bounding box and ground; an empty scene has its centre at the origin and size 1."""
         if not (scene.splats or scene.meshes):
             return cls()
         low, high = scene.bulk_bounds()
@@ -118,14 +118,18 @@ class BoxCache:
 
 
 def scale_of(pose: Array) -> float:
-    """Returns the scale factor of a similarity, shape (4, 4)."""
+    """Returns the uniform scale factor of a 4 x 4 similarity."""
     return float(np.cbrt(np.linalg.det(pose[:3, :3])))
 
 
 def world_corners(box: Box, pose: Array) -> Array:
-    """Returns the corners of a box in file coordinates, transformed to world space, shape (8, 3).
+    """Returns the eight corners of a box in file coordinates, transformed to world space, shape (8, 3).
 
     Bit ``a`` of a corner's index is set if the corner is at the upper end of axis ``a``.
+
+    Args:
+        box: Lowest and highest corner, file coordinates.
+        pose: Similarity from file to world, shape (4, 4).
     """
     corners = np.array([[box[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
     return corners @ pose[:3, :3].T + pose[:3, 3]

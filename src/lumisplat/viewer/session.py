@@ -1,4 +1,4 @@
-"""The edited state that all pages share, with undo, and the settings and views that affect its frames."""
+"""The session: scene, settings and view options that all pages of a viewer share, with undo and selection."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Options:
     budget_ms: float = 40.0
     """Time budget of a frame while the camera or the scene changes, milliseconds."""
     view: str = "color"
-    """Image that pages show: ``color`` or one of `lumisplat.Frame.VIEWS`."""
+    """What pages show of a frame: ``color``, or the AOV with a name of `lumisplat.Frame.VIEWS`."""
     time: float = 0.0
     """Animation time at which the scene is shown, seconds."""
     outlines: bool = True
@@ -158,7 +158,7 @@ class Session:
         """Functions that `report` calls with each error message, one line of text."""
 
     def open(self, state: State) -> None:
-        """Replaces the state and clears the undo history."""
+        """Replaces document, settings and exposure by a loaded state, and clears the undo history."""
         with self.changed:
             self.extent, self.opened = Extent.of(state.document.scene(self.options.time)), state
             self._past, self._future, self._merging = [], [], None
@@ -257,7 +257,7 @@ class Session:
 
     @property
     def scene(self) -> ls.Scene:
-        """The scene at the current animation time."""
+        """The document's scene at the animation time of the view options."""
         return self.state.document.scene(self.options.time)
 
     @property

@@ -59,16 +59,16 @@ BUSY_ANSWER_S = 5.0
 hidden."""
 
 DEPTH_STRIDE = 4
-"""Step in pixels, along each axis, at which the depth of a frame is sent to the page to occlude gizmos."""
+"""Pages get the depth of every N-th pixel of a frame along each axis, N = 4, so that surfaces occlude gizmos."""
 
 NOISE_AT_REST = 0.005
 """Estimated relative error at which a still view stops refining, unless the render settings specify a value."""
 
 JPEG_QUALITY_MOVING = 80
-"""JPEG quality of a moving view, 1 to 95."""
+"""JPEG quality, 1 to 95, of images sent to pages while the camera or the scene changes."""
 
 JPEG_QUALITY_AT_REST = 95
-"""JPEG quality of a still view, 1 to 95."""
+"""JPEG quality, 1 to 95, of images sent to pages while neither camera nor scene changes."""
 
 UNDO_MAX = 200
 """Largest number of edits that can be undone. Each undo step keeps the document before its edit in memory."""
@@ -92,10 +92,11 @@ DETAIL_TIME_DECAY = 0.995
 later."""
 
 HEIGHTS = (90, 2160)
-"""Smallest and largest image height of a still view, pixels."""
+"""Smallest and largest value of the view option ``height``, the image height of a still view, pixels."""
 
 BUDGETS_MS = (10.0, 500.0)
-"""Smallest and largest time budget of a frame of a moving view, milliseconds."""
+"""Smallest and largest value of the view option ``budget_ms``, the time budget of a moving view's frame, milliseconds.
+"""
 
 MERGE_S = 1.5
 """Longest time between two edits of one control that are undone as one, seconds."""

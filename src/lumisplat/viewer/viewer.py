@@ -1,4 +1,4 @@
-"""Builds the viewer from its page server, render loop and panels; `lumisplat.view` opens one."""
+"""The viewer: connects page server, render loop and panels; `lumisplat.view` opens one."""
 
 from __future__ import annotations
 
@@ -245,7 +245,7 @@ class Viewer:
             self._closed_or_failed.set()
 
     def _open(self, state: State) -> None:
-        """Shows the loaded state and starts rendering.
+        """Shows the loaded state on the pages, reports entries that could not be read, and starts rendering.
 
         Raises:
             LumisplatError: The cameras or the animation of the document are invalid.
@@ -309,13 +309,13 @@ class Viewer:
         self._look(client)  # renders no frame at the old position meanwhile
 
     def _fits_scene(self, page: Page, pose: Pose) -> bool:
-        """True if a camera pose of a page is one that `_fit_scene` sets, within 0.1 % of the distance to the origin."""
+        """True if a page's camera is where `_fit_scene` puts it, within 0.1 % of its distance from the origin."""
         at = self._session.extent.page_from_scene * np.array(pose.position)
         positions = [self._first_view.at(aspect)[0] for aspect in (ASPECT, *page.fitted_aspects)]
         return any(np.linalg.norm(at - position) < 1e-3 * np.linalg.norm(position) for position in positions)
 
     def _fly(self, camera: ls.Camera) -> None:
-        """Moves the views of all pages to a camera."""
+        """Moves the view of every open page to a scene camera."""
         for client in self._viser.get_clients().values():
             move_page_to(client, camera, self._session.extent.page_from_scene, self._session.scene.up_direction)
 
@@ -352,7 +352,7 @@ class Viewer:
             self._loop.remove(page)
 
     def _pick(self, page: Page, event: Any) -> None:
-        """Selects the object at the point of a page that was clicked."""
+        """Selects the object at a clicked point of a page; in ground mode, uses the point for the ground plane."""
         if page.frame is None:
             return
         across, down = (float(share) for share in event.screen_pos)
@@ -380,7 +380,7 @@ def _is_at(client: viser.ClientHandle, position: np.ndarray) -> bool:
 
 
 Viewable = ls.Scene | ls.Animation | ls.io.SceneDocument | ls.Gaussians | ls.Mesh | str | os.PathLike[str]
-"""Inputs that `view` accepts; it also accepts a list of files."""
+"""Types of the argument of `view`, which also accepts a list of files."""
 
 
 def view(

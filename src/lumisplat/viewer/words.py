@@ -15,7 +15,7 @@ _FLAGS = {"=True": " on", "=False": " off"}
 _CONFIG_FIELD = re.compile(r"\b[A-Z]\w*Config\.((?:\w+\.)*[a-z]\w*)(=True|=False)?\b")
 _MEMBER = re.compile(r"\b([A-Z]\w*)\.([A-Z][A-Z0-9_]*)\b")
 _WORD = re.compile(r"(?<![\w.'\"/\\-])[a-z]+(?:_[a-z]+)*(?![\w'\"/\\-]|\.\w)")
-"""Pattern of a word that is not quoted and not part of a path or file name."""
+"""Pattern of a lower-case word, perhaps with underscores, that is neither quoted nor part of a path or file name."""
 _OTHERS = {"aovs": "layers", "time_limit": "time limit (s)", "sh_degree": "SH degree"}
 """Control label of each setting whose label differs from its Python name, by that name."""
 

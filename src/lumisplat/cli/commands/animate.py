@@ -163,7 +163,7 @@ class Animate(FrameCommand):
 
 
 def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
-    """Returns the animation with another frame rate and the same duration."""
+    """Returns the animation with ``fps`` frames per second and, as its duration stays, another number of frames."""
     if not 0.0 < fps < math.inf:
         raise ls.ConfigError(f"--fps is {fps}, expected a positive number")
     length = animation.duration * fps
@@ -227,7 +227,7 @@ class _AnimationFrames:
         return frame
 
     def write(self, frame: ls.Frame, index: int) -> None:
-        """Writes a frame."""
+        """Writes a rendered frame to the file of its number, and adds the time to the stage ``writing``."""
         with self._timed("writing"):
             frame.save(self._folder.path(index))
 

@@ -108,7 +108,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
         print_table(f"{renderer.device}, {camera.width} x {camera.height}", rows)
 
     def _load(self, report: Report) -> ls.Scene:
-        """Returns the scene of the files; the demo scene without files."""
+        """Loads the scene of the given files; without files, builds the demo scene."""
         if not self.scene:
             return ls.demo_scene(report)
         return self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
@@ -116,7 +116,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     def _steady_frames(
         self, renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera, report: Report
     ) -> _SteadyFrames:
-        """Renders and times the frames after the first."""
+        """Renders and times ``--repeats`` frames after the first, whose kernels are then compiled."""
         frame_ms: list[float] = []
         stage_ms: list[dict[str, float]] = []
         frame: ls.Frame | None = None

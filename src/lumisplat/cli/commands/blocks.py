@@ -53,7 +53,7 @@ class Blocks(LoadingCommand):
     """With --plan: load far blocks coarser, with Gaussians of up to PX pixels."""
 
     def run(self) -> None:
-        """Writes the folder, or prints the plan."""
+        """Writes the captures as a folder of blocks or, with ``--plan``, prints what workers would load of one."""
         if self.plan:
             self._plan()
             return

@@ -212,7 +212,7 @@ def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:
 
 
 def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
-    """Parses ``opacity=0.1..``, ``scale_max=..0.5`` and ``x=-1..1`` to arguments of `lumisplat.editing.select`."""
+    """Parses the values of ``--keep``, such as ``opacity=0.1..`` or ``x=-1..1``, for `lumisplat.editing.select`."""
     known = [name for name, p in inspect.signature(ls.editing.select).parameters.items() if p.kind is p.KEYWORD_ONLY]
     ranges: dict[str, _Range] = {}
     for text in texts:

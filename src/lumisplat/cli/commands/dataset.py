@@ -240,6 +240,6 @@ class _ViewMaker:
         self._views.save(self._view, frame, self._command.output)
 
     def _exposed(self, camera: ls.Camera) -> ls.Camera:
-        """Returns the camera with ``--exposure`` added to the camera's exposure."""
+        """Returns the camera with its own exposure plus ``--exposure``, stops."""
         more = self._command.light.exposure
         return camera if more is None else replace(camera, exposure=camera.exposure + more)

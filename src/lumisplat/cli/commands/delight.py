@@ -93,7 +93,7 @@ class Delight(LevelsCommand, DeviceCommand):
             raise
 
     def _check_outputs(self) -> None:
-        """Raises an error if an output cannot be written, before the slow estimation."""
+        """Raises an error if the capture or the environment cannot be written; called before the slow estimation."""
         parse_up(self.up)
         if self.save_environment is not None and self.inside == "yes":
             raise ls.ConfigError("--save-environment and --inside yes exclude each other: a room has no environment")

@@ -82,7 +82,7 @@ _SWING_MIDDLE = 0.2
 
 
 def _lit_config() -> ls.RenderConfig:
-    """Returns the settings of lit images."""
+    """Returns the render settings of the demo's lit images."""
     return ls.RenderConfig(
         pipeline=ls.Pipeline.HYBRID,
         shadows=ls.Shadows.SOFT,

@@ -27,7 +27,7 @@ class Doctor(Command):
     """Print JSON instead of tables."""
 
     def run(self) -> None:
-        """Prints the diagnosis.
+        """Prints what this machine has and lacks for Lumisplat.
 
         Raises:
             DeviceError: Something has to be fixed.

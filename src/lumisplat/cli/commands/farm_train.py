@@ -199,7 +199,7 @@ class CaptureFolder(FrameFolder):
         return self.path(index).with_suffix(".unfinished.txt")
 
     def _clear(self, stamp: Path) -> None:
-        """Removes the stamp, all reports, captures and checkpoints, so that all trainings start from the beginning."""
+        """Removes train.json, all reports, captures and checkpoints, so that all trainings start from the beginning."""
         stamp.unlink(missing_ok=True)
         for index in range(len(self.names or ())):
             ls.training.forget_training(self.path(index).with_suffix(".ply"))
@@ -207,12 +207,12 @@ class CaptureFolder(FrameFolder):
         super()._clear(stamp)
 
     def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
-        """Returns the values for the stamp: the provenance, and settings of captures that other runs trained here."""
+        """Returns the values to store in train.json: this run's provenance, and settings of captures of other runs."""
         others = {name: value for name, value in (stored_provenance(stamp) or {}).items() if name.startswith(_SETTINGS)}
         return others | dict(provenance)
 
     def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
-        """Returns the names of the values in which a stamp and a provenance differ.
+        """Returns the names of the values in which train.json and the provenance of this run differ.
 
         Settings of a capture that only one of them has do not count, so that folders can be added later.
         """
@@ -258,13 +258,13 @@ class TrainSettings:
         return TrainSettings(path, names, cast(dict[str, dict[str, Any]], document))
 
     def warn_of_unused(self) -> None:
-        """Logs a warning about a table whose name is that of no given folder."""
+        """Logs a warning if a table of the settings file has a name that is not that of a given folder."""
         if others := [name for name in self.tables if name not in self.names]:
             given = ", ".join(self.names)
             _log.warning("%s: [%s] belongs to no given folder: there are %s", self.path, others[0], given)
 
     def text(self, name: str) -> str:
-        """Returns the settings of a folder as text for the stamp, independent of their order in the file."""
+        """Returns a folder's settings as text for train.json, independent of their order in the settings file."""
         return ", ".join(f"{key} = {value!r}" for key, value in sorted(self.tables.get(name, {}).items()))
 
     def applied(self, name: str, training: Train) -> Train:

@@ -133,7 +133,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         print(f"{self.output}: residual {residuals} (1 is white)")
 
     def _check_output(self, images: list[Path]) -> None:
-        """Raises an error if an output cannot be written, before the slow fit."""
+        """Raises an error if scene file or report cannot be written or would replace an image, before the slow fit."""
         if self.output.suffix.lower() != ".toml":
             raise ls.FormatError(self.output, "is no .toml: the fitted scene is saved as .toml")
         if self.output.exists() and not self.overwrite:

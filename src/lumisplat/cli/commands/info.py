@@ -89,7 +89,7 @@ class Info(LevelsCommand):
                 print_table(str(path), radiance_rows(held))
 
     def _facts(self, path: Path) -> dict[str, Any]:
-        """Returns the content of a file as JSON values."""
+        """Returns what ``--json`` prints about a file."""
         kind, held = self._load(path)
         head = {"file": str(path), "kind": kind, "bytes": size_on_disk(path)}
         match held:
@@ -199,7 +199,7 @@ def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object
 
 
 def _times(count: int) -> str:
-    """Returns a count as text such as ``(3 times)``; empty text for a count of 1."""
+    """Returns how often something occurs as text such as ``(3 times)``; empty for once."""
     return f"   ({count:,} times)" if count > 1 else ""
 
 
@@ -431,7 +431,7 @@ def image_size(image: Array) -> str:
 
 
 def box(low: Array, high: Array) -> str:
-    """Returns a box as text: its lowest and its highest corner."""
+    """Returns a bounding box as text: the coordinates of its lowest and its highest corner."""
     return f"{_point(low)} to {_point(high)}"
 
 
@@ -638,7 +638,7 @@ def radiance_facts(image: Any) -> Facts:
 
 
 def _box(corners: tuple[Any, Any]) -> list[list[float]]:
-    """Returns the lowest and the highest corner of a box as lists, with 0 for -0."""
+    """Converts a bounding box to two lists of coordinates, lowest and highest corner, with 0 for -0."""
     return [[float(value) + 0.0 for value in corner] for corner in corners]
 
 

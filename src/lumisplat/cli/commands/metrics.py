@@ -59,7 +59,7 @@ class Metrics(LoadingCommand):
     """Print JSON instead of a table."""
 
     def run(self) -> None:
-        """Prints the metrics."""
+        """Compares the images or the light of the captures, and prints the metrics."""
         if self.scene is not None:
             self._compare_light(self.scene)
             return
@@ -113,7 +113,11 @@ class Metrics(LoadingCommand):
             print_columns(["", paths[0].name], rows)
 
     def _capture(self, path: Path, report: Report) -> _Capture:
-        """Loads a capture, or a scene with a capture."""
+        """Loads a capture, or a scene that contains captures.
+
+        Raises:
+            FormatError: The file has no Gaussians.
+        """
         asset = self.load_asset(path, report)
         if isinstance(asset, ls.Mesh) or (isinstance(asset, ls.Scene) and not asset.splats):
             raise ls.FormatError(path, "has no Gaussians: metrics of light compare captures")
@@ -214,7 +218,7 @@ _EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
 
 @dataclass(frozen=True)
 class Pair:
-    """An image and its reference."""
+    """Paths of an image and of the reference that it is compared with."""
 
     name: str
     image: Path
@@ -252,7 +256,7 @@ def image_pairs(image: Path, reference: Path) -> list[Pair]:
 
 
 def _images(folder: Path) -> dict[str, Path]:
-    """Returns the images of a folder by name without extension."""
+    """Returns the paths of the images in a folder, by file name without extension."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in _EXTENSIONS and not path.name.startswith("."):

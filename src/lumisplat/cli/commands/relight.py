@@ -26,7 +26,8 @@ from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 _SH_Y00 = 0.5 / math.sqrt(math.pi)
-"""Value of the SH basis function of degree 0. A probe's first coefficient times this value is its mean radiance."""
+"""Value of the SH basis function of degree 0, ``1 / (2 sqrt(pi))``; times the degree-0 coefficient of a light probe,
+it gives the probe's mean radiance."""
 _GAMMA_MAX = 1000.0
 """Largest value that ``--gamma`` accepts."""
 

@@ -50,7 +50,7 @@ _log = logging.getLogger("lumisplat")
 _STAMP = "render.json"
 _NUMBERS = re.compile(r"[\d:x\s-]+")
 _NOT_IN_PROVENANCE = ("output", "resume", "overwrite", "frames", "tiles", "debug", "stats", "device", "changes")
-"""Options that do not change the content of an image, or that the stamp stores in another form, such as --set."""
+"""Options that do not change the content of an image, or that render.json stores in another form, such as --set."""
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Render(ViewsCommand, FrameCommand):
         return ",".join(part for part in parts if part != "samples"), "samples" in parts
 
     def _wanted(self, shots: list[Shot]) -> list[int]:
-        """Returns the indices of the images in ``shots`` that ``--frames`` selects."""
+        """Returns the indices into ``shots`` of the images that ``--frames`` selects by name or number."""
         is_chosen = self._is_one_file or self._names([shot.camera for shot in shots])
         return frame_numbers("--frames", "" if is_chosen else self.frames, len(shots), self._unit)
 
@@ -342,7 +342,12 @@ class Render(ViewsCommand, FrameCommand):
 
 
 def _summary(shots: list[Shot], frame: ls.Frame) -> str:
-    """Returns a line about the written images; ``frame`` is the last one."""
+    """Returns a line about what was written: path, size and samples of the only image, or the count and folder.
+
+    Args:
+        shots: Camera and file of each image.
+        frame: Last rendered frame.
+    """
     first = shots[0]
     if len(shots) == 1:
         return f"{first.path} ({first.camera.width} x {first.camera.height}){_samples(frame)}"

@@ -52,7 +52,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     """Set the number of texels across the map."""
 
     def run(self) -> None:
-        """Casts the shadows, and saves the capture or the map."""
+        """Casts the shadows, and writes the darkened capture or, for an .npz output, the shadow map."""
         if self.output == STANDARD_OUTPUT:
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
@@ -116,7 +116,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         )
 
     def _map_config(self) -> ls.config.DeepShadowConfig:
-        """Returns the settings of the shadow map."""
+        """Returns the settings of the deep shadow map, from the command's options."""
         changes = without_none({"strength": self.strength, "resolution": self.resolution})
         if self.absorption is not None:
             changes["absorption"] = ls.config.Absorption(self.absorption)

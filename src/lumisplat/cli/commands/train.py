@@ -213,7 +213,7 @@ class Train(DeviceCommand):
             )
 
     def _seconds(self) -> float | None:
-        """Returns the seconds of ``--stop-after``; None without it."""
+        """Returns the time limit of ``--stop-after`` in seconds; None without the option."""
         return None if self.stop_after is None else seconds_of("--stop-after", self.stop_after)
 
     def _materials_config(self) -> ls.config.MaterialsConfig:

@@ -26,9 +26,10 @@ _CURRENT = Path(os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluste
 _CONNECT_S = 10.0
 """Timeout of the connection that tests whether a cluster's address answers, seconds."""
 _IP = re.compile(r"^\s*ip: (\S+)", re.MULTILINE)
-"""Pattern of the IP address in Ray's error message about an actor."""
+"""Pattern of the line with a node's IP address in Ray's error message about a lost actor."""
 _VERSIONS = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
-"""Pattern of Ray's and Python's version, which occurs twice in Ray's message about a version mismatch."""
+"""Pattern of the Ray and Python versions in Ray's message about a mismatch, once for the cluster, once for this
+process."""
 _ERROR_CHARS = 300
 """Largest number of characters of Ray's own error text that an error message quotes."""
 
@@ -139,7 +140,7 @@ def _own_address() -> str:
 
 
 def _listens(host: str, port: int) -> bool:
-    """Returns whether a server listens at an address."""
+    """True if a connection to a host and port succeeds."""
     try:
         socket.create_connection((host, port), _CONNECT_S).close()
     except OSError:
@@ -171,6 +172,6 @@ def actor_failure(error: BaseException) -> str:
 
 
 def _short(error: BaseException) -> str:
-    """Returns Ray's error message on one line, cut to `_ERROR_CHARS` characters."""
+    """Returns the message of an exception of Ray on one line, cut to `_ERROR_CHARS` characters."""
     words = " ".join(str(error).split()) or type(error).__name__
     return words if len(words) <= _ERROR_CHARS else f"{words[:_ERROR_CHARS]} ..."

@@ -31,7 +31,7 @@ from lumisplat.cli.output.images import refuse_standard_output
 _log = logging.getLogger("lumisplat")
 
 CORES = 4
-"""Default number of CPU cores of a worker."""
+"""Number of CPU cores per worker process from which the default number of workers follows."""
 TRIES = 2
 """Number of times that a frame is tried: one that ends two workers would probably end a third."""
 FAILURES_IN_A_ROW = 4
@@ -44,7 +44,7 @@ _WAIT_S = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class FarmOptions:
-    """Options that set number, resources and time limit of the workers."""
+    """Options of ``lumisplat farm``: number of worker processes, their cores, time limit and cluster."""
 
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per GPU, else per 4 cores)")] = (
         None
@@ -67,7 +67,7 @@ class FarmCommand(FrameMaker, Protocol):
 
     @property
     def output(self) -> Path | None:
-        """Value of ``-o``."""
+        """Value of ``-o``, the folder or file to write; None without it."""
         ...
 
     @property
@@ -82,7 +82,7 @@ class FarmCommand(FrameMaker, Protocol):
 
     @property
     def farm(self) -> FarmOptions:
-        """Options of the workers."""
+        """Options of the worker processes."""
         ...
 
 

@@ -37,7 +37,7 @@ class FrameList:
     unit: str = "frame"
     """What messages call a frame, such as ``view``."""
     resume_hint: str = "without --overwrite"
-    """What to change in the command line to continue an interrupted run that was told to overwrite, for messages."""
+    """How a command line with --overwrite must be changed so that it continues an interrupted run; part of messages."""
 
     def begin(self, overwrite: bool) -> list[int]:
         """Creates the folder and its stamp, and returns the numbers of the frames that do not exist yet.
@@ -131,7 +131,7 @@ class FrameMaker(Protocol):
     """Interface of a command that makes frames, one by one."""
 
     def open_frames(self, report: Report) -> FrameJob:
-        """Checks options and files, loads the scene, and returns the frames as a job."""
+        """Checks options and files, loads the scene, and returns the frames with functions that make them."""
         ...
 
 
@@ -146,7 +146,7 @@ def is_mistake(error: BaseException, frames: FrameList) -> bool:
 
 
 def make_frames(job: FrameJob, report: Report, *, overwrite: bool, video: Path | None, fewer: str) -> str:
-    """Makes the missing frames in this process, then the video.
+    """Makes the missing frames of a command in this process, then the video.
 
     Args:
         job: Frames to make, with the functions that render and write them.

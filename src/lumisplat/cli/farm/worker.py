@@ -37,7 +37,7 @@ class Answer:
     lines: list[str]
     """Warnings that the worker has logged since its last result."""
     host: str
-    """Name of the worker's machine."""
+    """Host name of the machine on which the worker runs."""
     frames: FrameList | None = None
     """Frames of the command if the call loaded the scene; None if it failed or made a frame."""
     error: BaseException | None = None
@@ -104,7 +104,7 @@ class Worker:
         return Answer(lines=lines, host=host, frames=frames, error=error, is_mistake=is_mistake, seconds=seconds)
 
     def _portable_error(self, error: Exception) -> BaseException:
-        """Converts an error to one that can be sent to the driver; with ``--debug``, also prints the traceback."""
+        """Converts an error to one that can be pickled for the driver; with ``--debug``, also prints its traceback."""
         if not isinstance(error, ls.LumisplatError | OSError | MemoryError):  # a bug of this package
             at = traceback.extract_tb(error.__traceback__)[-1]
             described = ls.LumisplatError(f"{type(error).__name__}: {error}, in {at.filename}, line {at.lineno}")

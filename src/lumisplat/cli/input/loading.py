@@ -312,7 +312,7 @@ def file_fingerprints(paths: list[Path], excluded: Path) -> dict[str, str]:
 
 
 def toml_values(path: Path) -> dict[str, Any]:
-    """Parses a TOML file.
+    """Returns the content of a TOML file as a dictionary.
 
     Raises:
         ValueError: The file is not TOML; a FormatError, which is a ValueError, if it cannot be read.
@@ -366,7 +366,7 @@ def _usd_references(path: Path) -> list[str]:
 
 
 def _strings(value: object) -> Iterator[str]:
-    """Yields all strings in nested dictionaries and lists."""
+    """Yields all strings in nested dictionaries and lists; keys are left out."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):

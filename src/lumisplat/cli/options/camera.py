@@ -160,7 +160,7 @@ class CameraOptions(ViewpointOptions):
     """Focus on the surface in this pixel; 0,0 is the upper left."""
 
     def pixel(self) -> tuple[int, int] | None:
-        """Returns column and row of ``--focus``; None without the option.
+        """Parses ``--focus`` to the column and row of a pixel; None without the option.
 
         Raises:
             ConfigError: The value is not two integers.

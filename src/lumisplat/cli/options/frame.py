@@ -173,7 +173,9 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
 
     @property
     def crease_radians(self) -> float | None:
-        """Crease angle of ``--set meshes.crease_angle_degrees``, radians; None without it.
+        """Value of ``--set meshes.crease_angle_degrees`` in radians; None without it.
+
+        Mesh edges with a larger angle between their faces stay sharp.
 
         Raises:
             ConfigError: The angle is out of range.

@@ -68,7 +68,7 @@ def compare(view: ls.io.TrainingImage, frame: ls.Frame, scales: int) -> Comparis
 
 
 def write_view_comparison(view: ls.io.TrainingImage, frame: ls.Frame, path: Path) -> None:
-    """Writes image, render and their difference side by side; the difference is black where the mask excludes pixels.
+    """Writes a PNG with an image, its render and their difference, which is black where the mask excludes pixels.
 
     Raises:
         FormatError: The file cannot be written.
@@ -104,12 +104,12 @@ def plain(figures: Figures) -> dict[str, float | str | None]:
 
 
 def cells(figures: Figures) -> list[str]:
-    """Formats metric values as the cells of a table row."""
+    """Formats metric values as texts for the cells of a table row, in the order of the metrics."""
     return [digits(name, value) for name, value in figures.items()]
 
 
 def digits(name: str, value: float) -> str:
-    """Formats the value of the metric ``name`` for a table; ``-`` for NaN."""
+    """Formats a metric's value with the number of decimals that the metric ``name`` needs; ``-`` for NaN."""
     return "-" if math.isnan(value) else f"{value:.{_DIGITS.get(name, 4)}f}"
 
 

@@ -188,7 +188,12 @@ def up_name(direction: tuple[float, float, float]) -> str:
 
 
 def print_stats(frame: ls.Frame, pipeline: ls.Pipeline) -> None:
-    """Prints times, counts and memory of a frame that was rendered with ``pipeline``."""
+    """Prints the stage times, counts and memory of a frame as a table.
+
+    Args:
+        frame: The frame.
+        pipeline: Pipeline that rendered the frame.
+    """
     print_table("last frame", [*stage_rows(stage_times(frame)), *count_rows(frame, pipeline)])
 
 

@@ -124,7 +124,7 @@ class FrameFolder:
                 temporary.unlink()
 
     def _clear(self, stamp: Path) -> None:
-        """Removes the stamp, then the frames.
+        """Removes the stamp file, then the frames.
 
         Other runs in the folder stop when the stamp is gone, and remove frames that they have just written. If the
         process is killed after removing the stamp, no later run can continue with the remaining frames by mistake.
@@ -284,7 +284,7 @@ def write_video(path: Path, frames: Sequence[Path], fps: float, report: Report) 
 
 
 def _loaded_images(paths: Sequence[Path], report: Report) -> Iterator[npt.NDArray[np.float32]]:
-    """Yields the images one by one."""
+    """Yields the images of files one by one, and reports the progress."""
     for done, path in enumerate(paths):
         report("writing the video", done / len(paths))
         try:

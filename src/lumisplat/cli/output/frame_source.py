@@ -99,7 +99,7 @@ class FrameSource:
         self._is_warm = False
 
     def _rendered(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
-        """Renders one frame; in the realtime pipeline, after a warm-up if one is needed."""
+        """Renders one frame; in the realtime pipeline, first renders and discards frames if a warm-up is due."""
         if not self.renderer.config.pipeline.is_sequence:
             return self.renderer.render(scene, camera, progress=report)
         if self._is_warm and not self.warm_up.each:

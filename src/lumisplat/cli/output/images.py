@@ -202,7 +202,12 @@ class FrameWriter:
         return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
 
     def write(self, frame: ls.Frame, path: Path, mattes: ls.layers.Mattes | None = None) -> None:
-        """Writes one frame.
+        """Writes one frame to a file, with its layers, or the false-colour view instead.
+
+        Args:
+            frame: The frame.
+            path: Path of the file; its extension selects the format.
+            mattes: Cryptomatte mattes to write with the layers; None for none.
 
         Raises:
             ConfigError: The frame lacks a layer, or data that the view needs.

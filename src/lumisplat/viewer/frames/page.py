@@ -34,7 +34,7 @@ class DetailStep:
     """Quality of a moving view's frame: which level of detail of the captures, and at which resolution."""
 
     level: int
-    """Level of detail, an index into `LEVEL_FRACTIONS`."""
+    """Level of detail of the captures, an index into `LEVEL_FRACTIONS`; 0 has all Gaussians."""
     scale: float
     """Width and height relative to a still view's frame, one of `PIXEL_SCALES`."""
 
@@ -82,7 +82,7 @@ class DetailController:
 
     @property
     def step(self) -> DetailStep:
-        """Detail step of the next frame."""
+        """Level of detail and resolution with which to render the next frame of a moving view."""
         return self.steps[self._index]
 
     def record(self, milliseconds: float, budget: float) -> None:
@@ -114,7 +114,7 @@ class DetailController:
 Picture = npt.NDArray[np.uint8]
 
 _BACKGROUND_GRAY = 32
-"""Grey level behind transparent frames, 0 to 255."""
+"""sRGB grey level, 0 to 255, that pages show behind transparent parts of a frame."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class ScreenImage:
 
 
 def frame_image(frame: ls.Frame, view: str) -> Picture:
-    """Returns a view of a frame as an sRGB image of shape (H, W, 3), uint8.
+    """Returns what a page shows of a frame, its colour or a false-colour AOV: sRGB, shape (H, W, 3), uint8.
 
     Args:
         frame: The frame.
@@ -223,7 +223,7 @@ class Page:
         self._thread.start()
 
     def set_pose(self, pose: Pose | None) -> None:
-        """Sets the camera; None stops rendering for the page."""
+        """Sets the camera that frames of the page are rendered from; None stops rendering for the page."""
         with self._changed:
             if pose != self.pose:
                 self.pose = pose
@@ -272,7 +272,7 @@ _POLL_S = 0.2
 
 
 class BrowserScreen:
-    """Sends images to a page of viser and waits for its acknowledgement.
+    """Sends images to a browser page of viser, and waits until the page acknowledges each.
 
     Args:
         client: Connection of the page.

@@ -142,7 +142,7 @@ class FirstView:
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
     fov_y: float = FOV_Y
-    """Vertical field of view, radians."""
+    """Vertical field of view of the start camera, radians."""
     aspect: float = ASPECT
     """Aspect ratio, width over height, from which on `position` shows the whole scene; on narrower pages the camera
     moves back along its view direction.
@@ -152,7 +152,7 @@ class FirstView:
 
     @classmethod
     def of(cls, scene: ls.Scene) -> FirstView:
-        """Computes the first view of a scene that is not empty."""
+        """Computes the start camera for a scene, which must not be empty."""
         stated, units = scene.first_view, Extent.of(scene).page_from_scene
         aspect = ASPECT if stated is None else min(ASPECT, stated.width / stated.height)
         fov_y = FOV_Y if stated is None else None

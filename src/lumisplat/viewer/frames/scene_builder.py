@@ -76,7 +76,7 @@ class SceneBuilder:
     def of(
         self, document: ls.io.SceneDocument, config: ls.RenderConfig, time: float, level: int, *, waits: bool
     ) -> ls.Scene:
-        """Returns the scene of a frame.
+        """Returns the scene that a frame renders: static objects at a level of detail, and actors at a time.
 
         Args:
             document: Document to show.

@@ -30,16 +30,16 @@ _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
 """Name of the folder, beside the scene file, into which uploaded files are saved."""
 _NAME_MAX = 100
-"""Longest name of an uploaded file, characters."""
+"""Number of characters to which the name of an uploaded file is shortened."""
 _NEW_LIGHT_POSITION = (-0.45, -0.7, 0.5)
-"""Where new lights appear in a page's view: horizontal and vertical image coordinate, -1 to 1 from the centre, and the
-depth as a fraction of the distance to the orbit centre. Farther from the centre, the panel could hide the light."""
+"""Where new lights appear in a page's view: image coordinates from the centre, -1 to 1, x to the right and y down, and
+the depth as a fraction of the distance to the orbit centre. Farther from the centre, the panel could hide the light."""
 _NEW_LIGHT_IRRADIANCE = 3.0
 """Irradiance that a new light produces on a surface that faces it at the point that the page orbits."""
 
 
 class AddPanel:
-    """Controls that add lights, shapes and files to the scene, in the current GUI folder.
+    """Controls that add lights, shapes and files to the scene, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.

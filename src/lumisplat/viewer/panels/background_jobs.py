@@ -35,7 +35,7 @@ class StillRenderer:
 
     scenes: SceneBuilder
     device: str
-    """Device, as in `lumisplat.create_renderer`."""
+    """Name of the device that renders, such as ``cuda:0``, as in `lumisplat.create_renderer`."""
     stop: Callable[[], bool]
     """Function that returns True when a still image must pause, because a view moves or the viewer closes."""
 
@@ -48,7 +48,7 @@ class StillRenderer:
         return ls.create_renderer(config, self.device, compiles=False)
 
     def scene(self, document: ls.io.SceneDocument, config: ls.RenderConfig, time: float) -> ls.Scene:
-        """Returns the scene of a document at a time in seconds, with all Gaussians and lit actors.
+        """Returns a document's scene at an animation time in seconds, at full detail and with lit actors.
 
         Raises:
             LumisplatError: The scene is invalid.
@@ -83,7 +83,7 @@ class StillRenderer:
 
 
 def still_config(config: ls.RenderConfig, layers: tuple[str, ...] = ()) -> ls.RenderConfig:
-    """Returns settings that render one sample of a still image.
+    """Returns render settings for one sample per pixel of a still image, which is rendered sample by sample.
 
     Args:
         config: Render settings of the scene.
@@ -159,7 +159,7 @@ Steps = Generator[float, None, None]
 
 
 class BackgroundJobs:
-    """Runs one background job at a time; shows its progress bar and a cancel button in the current GUI folder.
+    """Runs one background job at a time; shows its progress bar and a cancel button in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -175,7 +175,7 @@ class BackgroundJobs:
         self._is_busy = self._is_cancelled = False
 
     def start(self, label: str, steps: Steps) -> None:
-        """Starts a job.
+        """Starts a job in the background, and shows its progress.
 
         Args:
             label: Name of the job to show.
@@ -218,7 +218,7 @@ class JobContext:
 
     session: Session
     pages: Mapping[int, Page]
-    """Open pages by connection id."""
+    """Open pages of the viewer, by viser's connection id."""
     jobs: BackgroundJobs
     still_renderer: StillRenderer
     thumbnail: Callable[[ls.Camera, Callable[[Picture], object]], None]

@@ -1,4 +1,4 @@
-"""Rows of buttons, and buttons in HTML lists; presses are handled in order."""
+"""Rows of buttons, and buttons in HTML lists; presses are handled in the order in which they were sent."""
 
 from __future__ import annotations
 

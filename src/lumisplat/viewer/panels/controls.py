@@ -78,7 +78,7 @@ AUTO = "auto"
 """Text that a control displays for the value None, which lets the library choose."""
 
 _DIGITS = 7
-"""Largest number of decimals that users can type."""
+"""Largest number of decimals of a number that users can type into a number or vector box."""
 _NUMBER_CHARACTERS, _VECTOR_CHARACTERS = 11, 8
 """Number of characters that fit into a number box, and into the box of one component of a vector."""
 _SLIDER_SPAN = 1e4
@@ -106,7 +106,7 @@ def hint_of(field: Setting) -> str | None:
 
 
 class Control:
-    """GUI element that shows and changes one setting, in the current GUI folder.
+    """GUI element that shows and changes one setting, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -128,7 +128,7 @@ class Control:
         self.field = field
         self.handle: Any = _handle(gui, field, value)
         self._none: Any = None
-        """Checkbox that sets an optional colour to None, because no colour can represent None."""
+        """Checkbox beside the colour picker of an optional colour, which sets it to None; None for other settings."""
         self._shown = value
         self._put, self._report = put, report
         read = partial(from_control_value, field)
@@ -372,7 +372,7 @@ name; changes with one name are undone together, changes with the name None sepa
 
 
 class SettingsPanel(Generic[Settings]):
-    """Controls for all fields of a settings dataclass, with a folder for each nested group, in the current GUI folder.
+    """Controls for all fields of a settings dataclass, with a folder for each nested group, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.

@@ -37,7 +37,7 @@ _ROWS = 1080
 
 
 class FilesPanel:
-    """Controls that save the scene file and show the command that renders it, in the current GUI folder.
+    """Controls that save the scene file and show the command that renders it, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -85,7 +85,7 @@ class FilesPanel:
         )
 
     def _target(self) -> Path | None:
-        """Returns the path of the typed file name, in the scene's folder; None if the name is not allowed."""
+        """Returns the path to save to: the typed name in the scene file's folder; None if the name is not allowed."""
         name = str(self._name.value).strip()
         folder = self._session.state.document.file.absolute().parent
         return folder / name if _PLAIN_NAME.fullmatch(name) else None

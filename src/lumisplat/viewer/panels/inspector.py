@@ -428,7 +428,7 @@ Ends = npt.NDArray[np.float64]
 
 
 class Crop:
-    """Three sliders for a capture's crop box, one for each axis of its file, in the current GUI folder.
+    """Three sliders for a capture's crop box, one for each axis of its file, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Outliner:
-    """List of the scene entries, and buttons that edit the selected entry, in the current GUI folder.
+    """List of the scene entries, and buttons that edit the selected entry, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -95,7 +95,7 @@ class Outliner:
         return document
 
     def _hide(self, number: int) -> None:
-        """Hides an entry, or shows a hidden one."""
+        """Hides the scene entry with an id, or shows it if it is hidden."""
         self._session.apply(lambda document: with_entry_hidden(document, number, not document.entry(number).hidden))
 
     def _show(self) -> None:
@@ -239,7 +239,7 @@ _SAME = math.radians(0.05)
 
 
 class LevelPanel:
-    """Buttons that set the scene's up direction, from the captures or from three clicks, in the current GUI folder.
+    """Buttons that set the scene's up direction, from the captures or from three clicks, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -256,7 +256,7 @@ class LevelPanel:
         session.on_change(self._show)
 
     def fit(self) -> None:
-        """Fits the ground plane of the captures and makes its normal the up direction."""
+        """Makes the normal of the ground plane, fitted to the captures, the up direction of the scene."""
         try:
             found = ls.editing.find_up(self._session.scene)
         except ls.LumisplatError as error:
@@ -272,7 +272,7 @@ class LevelPanel:
             )
 
     def start(self) -> None:
-        """Makes the next three clicks in the image define the ground plane; if this mode is active, ends it."""
+        """Makes the next three clicks in the image define the ground plane; pressed again, clicks select objects."""
         points = () if self._session.ground_points is None else None
         self._session.set_ground_points(points)
         if points is not None:

@@ -21,7 +21,7 @@ _EXPOSURE_HINT = "Exposure of lit images, in stops (EV)."
 
 
 class RenderingPanel:
-    """Controls of the render settings, in the current GUI folder.
+    """Controls of the render settings, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.

@@ -33,7 +33,7 @@ class _Line:
 
     handle: viser.GuiMarkdownHandle
     written: float = 0.0
-    """Time of the last update, seconds of the monotonic clock."""
+    """Time at which the line was last updated, seconds of the monotonic clock."""
 
 
 class StatusPanel:
@@ -55,7 +55,7 @@ class StatusPanel:
         self._took = np.full(_FRAMES, np.nan)
 
     def add_details(self, gui: viser.GuiApi) -> None:
-        """Adds the table of stage times and the plot, in the current GUI folder."""
+        """Adds the table of stage times and the plot, in viser's open GUI folder."""
         self._stages = gui.add_markdown("")
         numbers = np.arange(_FRAMES, dtype=np.float64)
         self._plot = gui.add_uplot(

@@ -37,7 +37,7 @@ _KEY_ROWS = 720
 
 
 class VideoPanel:
-    """Controls of the camera path and its video, in the current GUI folder.
+    """Controls of the camera path and its video, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -239,7 +239,7 @@ class Key:
 
     camera: ls.Camera
     target: tuple[float, float, float]
-    """World position at the centre of the image."""
+    """World position at which the camera of the key view looks, at the centre of its image."""
 
     def table(self, time: float) -> dict[str, Any]:
         """Returns the key view as a keyframe table of a scene file, at a time in seconds."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class ViewPanel:
-    """Controls of the view options, in the current GUI folder.
+    """Controls of the view options, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -173,7 +173,7 @@ def selected_sphere(session: Session) -> tuple[np.ndarray, float] | None:
 
 
 class Timeline:
-    """Time slider and play button of the animation, hidden without one, in the current GUI folder.
+    """Time slider and play button of the animation, hidden without one, in viser's open GUI folder.
 
     Args:
         gui: Controls of the pages.
@@ -199,12 +199,12 @@ class Timeline:
         session.on_change(self._show)
 
     def toggle(self) -> None:
-        """Starts or stops playback."""
+        """Starts the playback of the animation, or stops it."""
         self._plays.value = not self._plays.value
         self._wake.set()
 
     def close(self) -> None:
-        """Ends the playback thread."""
+        """Ends the thread that advances the animation time."""
         self._is_open = False
         self._wake.set()
         self._thread.join()

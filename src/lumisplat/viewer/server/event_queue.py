@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 Read = TypeVar("Read")
 
 TYPING_PAUSE_S = 0.6
-"""Time without a key press after which a typed value is applied, seconds."""
+"""Time since the last key press after which the text of a text box is applied, seconds."""
 
 
 @dataclass(eq=False)

@@ -27,7 +27,7 @@ LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 
 def is_loopback(host: str) -> bool:
-    """True if an address to listen on is reachable only from this machine."""
+    """True if only this machine can connect to a server that listens on the address."""
     if host == "localhost":
         return True
     try:
@@ -45,7 +45,7 @@ class Guard:
     """
 
     host: str
-    """Address to listen on."""
+    """Address on which the server listens, such as ``127.0.0.1``."""
     port: int
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     """Random access token of this viewer; its holder can open any number of pages."""

@@ -155,7 +155,7 @@ def _guarded(listener: socket.socket, guard: Guard, is_accepting: Callable[[], b
 
 @contextlib.contextmanager
 def _quiet() -> Generator[None]:
-    """Suppresses viser's console output, so that standard output contains only the viewer's address."""
+    """Context in which viser prints nothing, so that standard output contains only the viewer's address."""
     import rich
 
     console = rich.get_console()
@@ -167,7 +167,7 @@ def _quiet() -> Generator[None]:
 
 
 def _refuse_to_share(verbose: bool = True) -> None:
-    """Replaces viser's tunnel to a public server: logs the request and does nothing."""
+    """Takes the place of viser's function that opens a tunnel to a public server: logs a warning instead."""
     _log.warning("a page asked for a public share URL, which the viewer does not support")
 
 
