@@ -19,8 +19,8 @@ from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
 
 UNLIT_REACH = 2
-"""Radius in pixels of the square (5 x 5 pixels) in which light must leave every captured pixel unchanged for the
-middle pixel to count as unlit. One pixel is not enough, because its few samples may all miss a light."""
+"""A captured pixel counts as unlit if light changes no captured pixel within this many columns and rows (5 x 5
+pixels). One pixel is not enough, because its few samples may all miss a light."""
 
 
 def check_denoiser() -> None:
@@ -29,7 +29,7 @@ def check_denoiser() -> None:
 
 
 def denoised_light(frame: FrameData) -> FloatArray:
-    """Returns a lit frame's ``light``, denoised, shape (H, W, 3); it is unchanged where captures receive no light.
+    """Returns a lit frame's ``light``, denoised, shape (H, W, 3); captured pixels that receive no light are unchanged.
 
     Positive light is denoised as radiance, and negative light (shadows) as a fraction of the captured radiance, so that
     captures keep their detail in shadows.
@@ -51,10 +51,10 @@ def denoised_light(frame: FrameData) -> FloatArray:
 
 
 def _unlit_pixels(frame: FrameData) -> Flags:
-    """Returns a mask of the captured pixels where no light arrives, shape (H, W).
+    """Returns a mask of the captured pixels that receive no light, shape (H, W).
 
-    Light must change no captured pixel in the 5 x 5 pixels around either: the few samples of one pixel may miss a dim
-    light or a thin shadow.
+    A pixel is in the mask only if light changes no captured pixel of the 5 x 5 pixels around it. Its own samples alone
+    are too few: all of them may miss a dim light or a thin shadow.
     """
     assert frame.light is not None and frame.captured_weight is not None
     is_captured = frame.captured_weight >= 1.0 - WEIGHT_ROUNDING
@@ -67,7 +67,7 @@ def _unlit_pixels(frame: FrameData) -> Flags:
 def _guides(frame: FrameData) -> dict[str, Any]:
     """Returns the images albedo and normal for the denoiser; empty if defocus or random choice makes them useless.
 
-    Their entry ``clean_aux`` tells the denoiser whether they are free of noise.
+    The entry ``clean_aux`` tells the denoiser whether albedo and normal are free of noise.
     """
     if frame.camera.aperture > 0.0:
         return {}  # out of focus, samples of one pixel hit different surfaces
@@ -81,7 +81,7 @@ def _guides(frame: FrameData) -> dict[str, Any]:
 
 
 def draws_surfaces(config: RenderConfig) -> bool:
-    """Returns whether the settings choose the first Gaussian on a ray at random: albedo and normals are then noisy."""
+    """Returns whether rays choose their first Gaussian at random, so that albedo and normals are noisy."""
     if config.pipeline.traces_paths:
         return config.path.primary is not PathPrimary.ISO
     if not config.pipeline.rasterises:

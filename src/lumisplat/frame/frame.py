@@ -242,9 +242,9 @@ class Frame(FrameData):
         """Returns the frame with its light denoised by Open Image Denoise (extra ``denoise``).
 
         Captured radiance is not denoised, and pixels that show only captured radiance keep their exact values. Albedo
-        and normals guide the denoiser if they are free of noise: in all pipelines but ``PATH``, unless the strategy is
-        stochastic. ``RenderConfig.aovs`` must then contain ``albedo``. All images other than the light and the colour,
-        including alpha, are unchanged.
+        and normals guide the denoiser if they are free of noise; ``RenderConfig.aovs`` must then contain ``albedo``.
+        They are noisy with an aperture, with a stochastic strategy, and in the ``PATH`` pipeline unless
+        ``path.primary`` is ``ISO``. All images other than the light and the colour, including alpha, are unchanged.
 
         Returns:
             A new frame, to which no samples can be added; this frame itself if it is already denoised.

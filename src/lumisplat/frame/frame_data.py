@@ -61,7 +61,7 @@ class FrameData:
     normal: FloatArray
     """World-space unit normal towards the viewer, (H, W, 3); zero without a hit."""
     gaussian_index: IntArray
-    """Index of the Gaussian at the surface within its instance, (H, W); -1: none."""
+    """Index, within its instance, of the Gaussian at the pixel's surface, (H, W); -1: none."""
     instance_index: IntArray
     """Index of the instance at the surface, (H, W): splat instances in scene order, then mesh instances; -1: none."""
     camera: Camera
@@ -70,7 +70,8 @@ class FrameData:
     """``srgb``: display-referred values as captures were trained, in unlit frames. ``linear``: linear Rec.709 before
     exposure and tone mapping, in lit frames."""
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
-    """Background behind ``color``, display-referred sRGB; None: transparent, and black in mirrors and behind glass."""
+    """Background behind ``color``, display-referred sRGB. None: the background is transparent; mirrors and glass show
+    black in its place."""
     samples: int = 0
     """Number of samples per pixel that ``color`` and ``alpha`` average; with adaptive sampling, the largest number of
     any pixel; 0: rasterised."""
@@ -79,23 +80,23 @@ class FrameData:
     stats: FrameStats | None = None
     """Times and counts of the rendering; None: unknown."""
     captured: FloatArray | None = None
-    """Captured part of a lit frame as an unlit frame shows it, including the background: display-referred sRGB, shape
-    (H, W, 3), premultiplied by ``captured_weight``; None: unlit frame. Splat sets whose material emits less than their
-    full colour are not in ``captured`` but entirely in ``light``."""
+    """Captured part of a lit frame, in the colours of an unlit frame and including the background: display-referred
+    sRGB, shape (H, W, 3), premultiplied by ``captured_weight``; None: unlit frame. A splat set whose material emits
+    less than the set's full colour appears in ``light`` only."""
     captured_weight: FloatArray | None = None
     """Fraction of each pixel that captured colours cover, 0..1, (H, W): 1 where only captures and the background are
     visible; None: unlit frame."""
     light: FloatArray | None = None
-    """Signed linear radiance to add to the captured part, (H, W, 3): positive where lights brighten captures, negative
-    in shadows on captures, and all radiance of other objects such as meshes. Where ``light`` is exactly 0, images show
-    the captured part unchanged. None: unlit frame."""
+    """Signed linear radiance to add to the captured part, (H, W, 3). On captures, it is positive where lights brighten
+    them and negative in shadows; on other objects, such as meshes, it is all of their radiance. Where ``light`` is
+    exactly 0, images show the captured part unchanged. None: unlit frame."""
     albedo: FloatArray | None = None
     """Linear albedo of the surfaces, (H, W, 3); None: ``RenderConfig.aovs`` does not request it."""
     emission: FloatArray | None = None
     """Linear radiance emitted by surfaces, including captured radiance, (H, W, 3); None: ``RenderConfig.aovs`` does
     not request it."""
     reflection: FloatArray | None = None
-    """Linear radiance of other surfaces that are visible in each pixel's surface, by mirrors, glass and gloss, (H, W,
+    """Linear radiance of other surfaces that each pixel's surface shows by mirror reflection, glass and gloss, (H, W,
     3); None: ``RenderConfig.aovs`` does not request it.
     """
     hits: FloatArray | None = None
@@ -137,7 +138,7 @@ class FrameData:
     the first axis is ``light``, except for changes of light on shadow catchers. None: ``RenderConfig.aovs`` does not
     request it."""
     motion: FloatArray | None = None
-    """Motion since the previous frame, in a real-time frame, of the surface that covers most of each pixel, (H, W, 3):
+    """In a real-time frame, motion since the previous frame, (H, W, 3), of the surface that covers most of the pixel:
     image displacement x (to the right) and y (down) in pixels, and change of the distance from the camera in scene
     units. All three are 0 where ``motion_known`` is 0. None: ``RenderConfig.aovs`` does not request it."""
     motion_known: IntArray | None = None
@@ -209,9 +210,10 @@ class FrameData:
     def shadow_matte(self) -> FloatArray | None:
         """Inserted objects and their shadows as a premultiplied linear RGBA layer for a plate, (H, W, 4).
 
-        ``matte[..., :3] + (1 - matte[..., 3:]) * plate`` is ``color`` where the plate is the captured part of the
-        pixel. Alpha is the coverage of inserted objects and the darkest channel of the shadow; RGB holds what alpha
-        cannot express: coloured shadows, and light bounced onto the catcher. None if the frame has no ``shadow_ratio``.
+        Over a plate that equals the captured part of each pixel, ``matte[..., :3] + (1 - matte[..., 3:]) * plate``
+        gives ``color``. Alpha is the coverage of inserted objects and the darkest channel of the shadow; RGB holds what
+        alpha cannot express: coloured shadows, and light bounced onto the catcher. None if the frame has no
+        ``shadow_ratio``.
         """
         parts = self._lit_parts()
         if parts is None or self.shadow_ratio is None:

@@ -23,8 +23,8 @@ Image = npt.NDArray[Any]
 _MATTE = "shadow_matte"
 
 LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS, _MATTE)
-"""Names of layers. Every frame has the layers that are not in `AOVS`; a layer in `AOVS` must be requested by
-``RenderConfig.aovs``, and ``shadow_matte`` by requesting ``shadow_ratio``."""
+"""Names of layers. A layer in `AOVS` exists only if ``RenderConfig.aovs`` requests it, and ``shadow_matte`` only if
+``shadow_ratio`` is requested. Every frame has the other layers."""
 
 RADIANCE = (
     "albedo",
@@ -49,7 +49,8 @@ COUNTS = ("sample_count", "motion_known", "probes", "cache_cells")
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
 _LABEL_MAX = 60
-"""Longest name of a light within a layer's name, characters: file names and EXR channel names may have 255 bytes."""
+"""Largest number of characters of a light's name in a layer's name: file names and EXR channel names may have 255
+bytes."""
 
 
 class LightLayers(NamedTuple):
@@ -58,7 +59,7 @@ class LightLayers(NamedTuple):
     label: str
     """Name of the light, made safe for channel and file names."""
     direct: FloatArray
-    """Radiance reflected from the light if nothing cast shadows, linear, (H, W, 3)."""
+    """Linear radiance that surfaces would reflect from the light if nothing cast shadows, (H, W, 3)."""
     shadow: FloatArray
     """Fraction of ``direct`` that arrives despite shadows, 0..1, (H, W, 3)."""
     total: FloatArray | None

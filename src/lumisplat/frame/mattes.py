@@ -1,8 +1,8 @@
 """Cryptomattes: object and material names and their coverage for each pixel, stored in EXR files.
 
 Friedman and Jones, "Fully Automatic ID Mattes with Support for Motion Blur and Transparency" (2015), and version 1.2.0
-of the specification. Each pixel stores its names in ranks of falling coverage. A rank is a pair of channels: the id,
-which is the hash of the name reinterpreted as a float, and the fraction of the pixel that it covers.
+of the specification. Each pixel stores its names in ranks of falling coverage. A rank is a pair of channels: the id of
+a name (the name's hash, reinterpreted as a float) and the fraction of the pixel that the name covers.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def murmur3_32(name: str) -> int:
 
 
 def id_bits(name: str) -> int:
-    """Returns the bits of a name's id: its hash, with one exponent bit flipped if the hash would be no normal float."""
+    """Returns the bits of a name's id: its hash, with one exponent bit flipped if the hash is not a normal float."""
     bits = murmur3_32(name)
     return bits ^ (1 << 23) if (bits >> 23 & 255) in (0, 255) else bits
 
@@ -80,7 +80,10 @@ def matte_channels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matte:
-    """The names that cover most of each pixel, and the fraction of the pixel that each covers (Cryptomatte)."""
+    """The names with the largest coverage in each pixel, and the fraction of the pixel that each covers.
+
+    Compositors read them as Cryptomattes.
+    """
 
     kind: str
     """Name of the matte for compositors: ``CryptoObject`` or ``CryptoMaterial``."""

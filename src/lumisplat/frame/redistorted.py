@@ -22,8 +22,8 @@ from lumisplat.math.resampling import cubic_samples
 from lumisplat.scene.camera import Camera
 
 UNDISTORTED_AREA_MAX = 8.0
-"""Largest ratio of the pixel counts of the pinhole image and the distorted image that is resampled from it. Above it,
-most pinhole pixels would be wasted, and ray tracing is faster."""
+"""Largest allowed ratio of pixel counts: pinhole image over the distorted image that is resampled from it. Above this
+ratio, most pinhole pixels would be wasted, and ray tracing is faster."""
 
 UNDISTORTED_SCALE_MAX = 2.0
 """Largest ratio of the pinhole image's focal length to the camera's; it exceeds 1 where the lens magnifies the edges.
@@ -84,7 +84,7 @@ def undistorted_camera(camera: Camera) -> Camera:
 
 
 def pinhole_of(camera: Camera) -> Camera:
-    """Returns the `undistorted_camera`, cropped to the pixels that the distorting camera's window, if any, needs.
+    """Returns the `undistorted_camera`; if ``camera`` has a window, cropped to the pixels that this window needs.
 
     Raises:
         SceneError: As for `undistorted_camera`.
@@ -110,8 +110,8 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
     """Resamples a pinhole frame to the image of a distorting lens.
 
     Colours and other averages are filtered (Catmull-Rom, over the area of each pixel). Normals and indices come from
-    the nearest pinhole pixel. Depth is the distance to the nearest pinhole pixel's surface along the distorted pixel's
-    ray.
+    the nearest pinhole pixel. Depth is measured along the distorted pixel's ray, to the surface in the nearest pinhole
+    pixel.
 
     Args:
         frame: Frame rendered with the camera from `pinhole_of`.
@@ -158,7 +158,7 @@ def _magnifications(camera: Camera) -> Doubles:
 
 
 def _visible_box(camera: Camera) -> tuple[Doubles, Doubles]:
-    """Returns the box of all pixel corners of the distorted image after undistortion: two corners of shape (2,).
+    """Returns the lower and upper corner, shape (2,) each, of a box around all pixel corners after undistortion.
 
     Coordinates are tangents of the angle to the optical axis. The corners are inf and -inf if no pixel corner can be
     undistorted.
@@ -178,9 +178,9 @@ def _visible_box(camera: Camera) -> tuple[Doubles, Doubles]:
 
 
 def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> Doubles:
-    """Returns the position in the pinhole image of a point of each distorted pixel, shape (H, W, 2), pixels.
+    """Returns where one point of each distorted pixel lies in the pinhole image, shape (H, W, 2), pixels.
 
-    The point's offset in the distorted pixel is (``right``, ``down``), 0..1. NaN: the lens maps no ray to the pixel.
+    The point lies at offset (``right``, ``down``), 0..1, in its pixel. NaN: the lens maps no ray to the pixel.
     """
     (width, height), (left, top) = camera.image_size, camera.image_corner
     x, y = np.meshgrid(left + np.arange(width) + right, top + np.arange(height) + down)
@@ -190,7 +190,7 @@ def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> Doubl
 
 
 def _nearest(image: _Image, points: Doubles, empty: float) -> _Image:
-    """Returns the image's value at the pixel nearest to each point, and ``empty`` at points that are NaN."""
+    """Returns the image's value at the pixel nearest to each point; ``empty`` for points that are NaN."""
     visible = ~np.isnan(points[..., 0])
     x, y = (np.where(visible, np.floor(points[..., k]), 0.0).astype(np.int64) for k in (0, 1))
     values = image[np.clip(y, 0, image.shape[0] - 1), np.clip(x, 0, image.shape[1] - 1)]
@@ -199,7 +199,7 @@ def _nearest(image: _Image, points: Doubles, empty: float) -> _Image:
 
 
 def _depth(frame: Frame, points: Doubles) -> _Image:
-    """Interpolates the distance along rays at points of a pinhole image, shape (H, W); inf without a surface.
+    """Returns the distance along the ray through each point of a pinhole image, shape (H, W); inf without a surface.
 
     Inverse view depth is linear over the image of a plane. It is extrapolated from the nearest pixel by the differences
     to that pixel's neighbours, but not across edges.
@@ -246,7 +246,7 @@ def _slope(before: Doubles, after: Doubles) -> Doubles:
 
 
 def _motion(motion: _Image, points: Doubles, camera: Camera, pinhole: Camera) -> _Image:
-    """Converts motion vectors from the pinhole to the distorted image, whose scale varies over the image.
+    """Converts motion vectors from pinhole pixels to pixels of the distorted image, whose scale varies over the image.
 
     Args:
         motion: Pinhole motion at the pixels of the distorted image, shape (H, W, 3).

@@ -19,7 +19,7 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import Doubles, FloatArray
 
 SUMS = ("color", "alpha", "radiance", "squares", "captured_weight", "light")
-"""Names of the sums that a pixel's samples are accumulated in, in storage order. Only lit frames have the last two."""
+"""Names of the sums over a pixel's samples, in storage order. Only lit frames have the last two."""
 _CHANNELS = {"color": 3, "alpha": 1, "radiance": 3, "squares": 3, "captured_weight": 1, "light": 3}
 
 

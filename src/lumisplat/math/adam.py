@@ -13,7 +13,7 @@ from lumisplat.math.arrays import Doubles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adam:
-    """Adam's moments of an array that is updated as a whole, or row by row with a step count for each row."""
+    """Adam's moments of one array. The array is updated as a whole, or row by row with a step count for each row."""
 
     first: Doubles
     """First moments (means of gradients), in the shape of the array."""

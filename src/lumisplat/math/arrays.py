@@ -28,7 +28,7 @@ _LAST_ROW_ERROR = 1e-6 + 1e-5 * _LAST_ROW
 """Largest accepted error of each entry of the last row of an affine transform."""
 
 _UNIT_ERROR = 2e-15
-"""Largest difference from 1 of a float64 vector's length at which it counts as normalised and is left unchanged."""
+"""A float64 vector counts as normalised, and is left unchanged, if its length differs from 1 by at most this."""
 
 
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
@@ -154,13 +154,13 @@ def refuse_rows(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> No
 
 
 def refuse_outside_unit(name: str, values: FloatArray) -> None:
-    """Raises a SceneError that counts the rows of ``values`` with a number outside 0..1, unless there are none."""
+    """Raises a SceneError that counts the rows of ``values`` with a number outside 0..1; does nothing without any."""
     outside = (values < 0.0) | (values > 1.0)
     refuse_rows(name, "outside 0..1", np.asarray(outside.any(axis=tuple(range(1, values.ndim)))))
 
 
 def normalise_rows(name: str, vectors: FloatArray) -> FloatArray:
-    """Returns the rows scaled to unit length, read-only; rows that already have unit length do not change by a bit.
+    """Returns the rows scaled to unit length, read-only; rows that already have unit length are returned bit for bit.
 
     Raises:
         SceneError: Some rows have zero length.
@@ -178,7 +178,7 @@ def normalise_rows(name: str, vectors: FloatArray) -> FloatArray:
 
 
 def unit_vector(vector: Doubles) -> Doubles:
-    """Normalises a vector of any length above 0; a vector of unit length, up to rounding, does not change by a bit."""
+    """Normalises a vector of any length above 0; returns a vector of unit length, up to rounding, bit for bit."""
     length = np.linalg.norm(vector)
     return vector if abs(length - 1.0) < _UNIT_ERROR else vector / length
 
@@ -201,9 +201,9 @@ def read_only_view(values: npt.NDArray[_Scalar]) -> npt.NDArray[_Scalar]:
 
 
 def weighted_quantile(values: Doubles, weights: Doubles, share: float) -> float:
-    """Returns the value below which a given fraction of the weight lies, interpolated linearly between values.
+    """Returns the value below which a given fraction of the total weight lies, interpolated linearly between values.
 
-    With equal weights it is NumPy's quantile.
+    With equal weights, the result is NumPy's quantile.
 
     Args:
         values: N values, shape (N,).

@@ -43,7 +43,7 @@ def albedo_in_range(albedo: Doubles) -> Doubles:
 _XYZ_FROM_REC709 = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 _WHITE = _XYZ_FROM_REC709.sum(axis=1)
 _KNEE = 6.0 / 29.0
-"""6/29, the cube root of the value (CIE 15's epsilon) below which the curve of L*a*b* is linear."""
+"""6/29, the cube root of CIE 15's epsilon. For values below epsilon, the curve of L*a*b* is linear."""
 
 
 def luminance(linear: npt.ArrayLike) -> Doubles:

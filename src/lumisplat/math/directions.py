@@ -87,9 +87,9 @@ def cell_means(cells: int, degree: int) -> Doubles:
 def sh_fit_of_cells(cells: int, degree: int) -> Doubles:
     """Returns the weights that turn the mean radiances of cells into the SH coefficients of a least-squares fit.
 
-    The fit is exact for radiance whose SH have at most degree ``degree``. Integrating SH over the cells would be exact
-    only for constant radiance, because a cell's mean is flatter than the function: for 8 x 8 cells by 3 % in degree 1,
-    and by 5 to 15 % in degree 2.
+    The fit is exact for radiance whose SH have at most degree ``degree``. Integrating SH over the cells instead would
+    be exact only for constant radiance: averaging over a cell flattens the radiance, for 8 x 8 cells by 3 % in degree
+    1, and by 5 to 15 % in degree 2.
 
     Args:
         cells: Number of cells along each side of the octahedral map.

@@ -1,4 +1,4 @@
-"""Least squares with inequality constraints from the normal equations, for many equations in few unknowns."""
+"""Least squares with inequality constraints, for many equations in few unknowns, solved from the normal equations."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def nonnegative_least_squares(gram: Doubles, moments: Doubles) -> Doubles:
 def bounded_least_squares(gram: Doubles, moments: Doubles, bounded: Doubles, least: Doubles) -> Doubles:
     """Returns the vector x of n unknowns with ``B x >= b`` that minimises ``x^T G x / 2 - m^T x``.
 
-    Relative to the unconstrained minimum, and in coordinates in which G is the identity, x is the shortest vector that
-    satisfies the inequalities: a non-negative least-squares problem (least distance programming, Lawson and Hanson
-    1974, chapter 23).
+    In coordinates in which G is the identity and the unconstrained minimum is the origin, x is the shortest vector that
+    satisfies the inequalities. This is a non-negative least-squares problem (least distance programming, Lawson and
+    Hanson 1974, chapter 23).
 
     Args:
         gram: G, symmetric, positive definite, shape (n, n).

@@ -48,7 +48,7 @@ def mean_fresnel(ior: float) -> float:
 _COSINES = np.concatenate([[0.01, 0.02, 0.035], np.linspace(0.05, 1.0, 20)])
 _STEPS = 160
 SHEEN_CURVES = 16
-"""Number of intervals of roughness in the table of sheen albedos; it has one entry more."""
+"""Number of intervals of roughness in the table of sheen albedos; the table has one entry more."""
 _TABLE_STEPS = 64
 _TABLE_MARGIN = 0.015
 """Offset added to the logarithms of sheen albedo in the table, because interpolation between entries underestimates."""

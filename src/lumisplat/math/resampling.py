@@ -59,7 +59,7 @@ def area_mean(image: _Image, width: int, height: int) -> FloatArray:
 def _row_means(image: _Image, count: int) -> FloatArray:
     """Averages the rows of an image over ``count`` strips of equal height.
 
-    A strip may begin or end within a row, which then counts by the fraction inside the strip.
+    Where a strip begins or ends within a row, the row counts by its fraction inside the strip.
     """
     rows = len(image)
     if rows == count:

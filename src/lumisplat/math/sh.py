@@ -49,8 +49,8 @@ def even_directions(count: int) -> npt.NDArray[np.float64]:
 def sh_rotation(rotation: npt.NDArray[np.floating], degree: int) -> npt.NDArray[np.float64]:
     """Returns the matrix that rotates SH coefficients: rotated coefficients = matrix @ coefficients.
 
-    The rotated function has at R d the value that the original function has at d. Rotation does not mix degrees, so
-    the values in more directions than coefficients determine the matrix, up to rounding.
+    The rotated function has at R d the value that the original function has at d. Rotation does not mix degrees.
+    Function values in more directions than there are coefficients therefore determine the matrix, up to rounding.
 
     Args:
         rotation: Rotation R, shape (3, 3).

@@ -63,8 +63,8 @@ def captured_radiance(captured: npt.ArrayLike, weight: npt.ArrayLike) -> FloatAr
 def apply_tone_map(linear: npt.ArrayLike, tone_map: ToneMap) -> FloatArray:
     """Maps linear light to display colours.
 
-    ``AGX`` is the variant of Blender and Filament, in Rec.2020 primaries. It uses Sobotka's curve in closed form, where
-    Filament and three.js fit a polynomial to it (at most 0.006 apart), and leaves out Blender's mixing of hues.
+    ``AGX`` is the variant of Blender and Filament, in Rec.2020 primaries. It evaluates Sobotka's curve in closed form;
+    Filament and three.js use a polynomial fit, which differs by at most 0.006. Blender's mixing of hues is left out.
 
     Args:
         linear: Linear Rec.709 after exposure, shape (..., 3). Negative values count as 0, infinite ones as the
@@ -92,11 +92,10 @@ def lit_picture(
 ) -> FloatArray:
     """Returns the display colours of pixels that show captures, lit surfaces, or both.
 
-    Captured light goes through the sRGB curve that it was captured through, other light through the tone mapper. In a
-    mixed pixel with radiance x, of which e is captured, the difference of the two curves at e is added in proportion to
-    the captured part: ``tone(x) + k (srgb(e) - tone(e))`` with ``k = 1 - |x - e| / max(x, e)``, where both magnitudes
-    are maxima over the channels. Where light is added, no channel becomes darker than the capture; where light is
-    removed, none becomes brighter.
+    Captured light is encoded by the sRGB curve of its capture, other light by the tone mapper. A mixed pixel of
+    radiance x with captured part e has the colour ``tone(x) + k (srgb(e) - tone(e))``, where ``k = 1 - |x - e| / max(x,
+    e)`` and both magnitudes are maxima over the channels. Where light is added, no channel becomes darker than the
+    capture; where light is removed, none becomes brighter.
 
     Args:
         captured: Display-referred sRGB premultiplied by ``weight``, shape (..., 3).

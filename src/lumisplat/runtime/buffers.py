@@ -17,7 +17,8 @@ from lumisplat.runtime.downloads import Downloads
 UNCHECKED_BYTES = 2**20
 """Size in bytes up to which an array is allocated without querying how much memory is free.
 
-A first frame allocates 150 arrays, most of them smaller, and a query takes 0.3 ms (measured in a container).
+The first frame allocates 150 arrays, most of them smaller than this, and each query takes 0.3 ms (measured in a
+container).
 """
 
 Struct = TypeVar("Struct")
@@ -60,7 +61,7 @@ else:
 
 
 def device_array(array: wp.array[Any]) -> DeviceArray:
-    """Casts the array field of a struct to the type that host code uses; at run time, returns it unchanged."""
+    """Casts a struct's array field to the type that host code uses; at run time, returns the array unchanged."""
     return cast(DeviceArray, array)
 
 
@@ -89,7 +90,7 @@ def grown_capacity(count: int) -> int:
 
 
 class Buffers:
-    """Device arrays by name, which are allocated once and reused.
+    """Device arrays by name; each is allocated once and reused.
 
     A request that is no larger than an earlier one with the same name returns a view of the same memory. Nothing is
     allocated after the first frame of a size.

@@ -1,11 +1,11 @@
 """Downloads of device arrays to the host.
 
 A GPU writes directly to page-locked memory; it copies to other memory through a small staging buffer. Page-locked
-memory is slow to allocate and scarce for the whole system, so a few blocks are reused. A block belongs to a frame as
-long as somebody holds the frame; if a program holds many frames, the images of the others use ordinary memory.
+memory is slow to allocate and scarce for the whole system, so a few blocks are reused. A frame holds its block as long
+as something references the frame. While all blocks are held, images of further frames use ordinary memory.
 
-A frame's images are first copied on the GPU, which takes a fraction of the download's time, and each image is
-downloaded when it is read. The next frame can render meanwhile, and images that nobody reads are never downloaded.
+A frame's images are first copied on the GPU, in a fraction of the time of a download. Each image is downloaded when it
+is read, while the next frame may already render. Images that nobody reads are never downloaded.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ import numpy.typing as npt
 import warp as wp
 
 FRAME_BLOCKS_MAX = 3
-"""Largest number of frames per renderer that hold page-locked host memory; also of frames that hold a copy on the GPU.
+"""Largest number of frames per renderer that hold page-locked memory, and of frames that hold a copy on the GPU.
 
 Three suffice for one frame on display, one being saved and one being rendered."""
 
 DeviceArray = Any
-"""A Warp array, here typed as Any: buffers.py declares its type but imports this module, so that it cannot be
-imported."""
+"""A Warp array, typed as Any: buffers.py defines the precise type, but cannot be imported here, because it imports
+this module."""
 
 Value = TypeVar("Value")
 
@@ -36,11 +36,11 @@ class Copies(Protocol):
     """Copies of several device arrays by name, on the host or still on the device."""
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """Returns ``count`` 32-bit words of array ``name``, starting at word ``first``; None: all that follow."""
+        """Returns ``count`` 32-bit words of array ``name`` from word ``first`` on; ``count`` None: all that remain."""
         ...
 
     def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """Returns the result of ``read``; if the copies are still on the device, ``read`` itself, for later use."""
+        """Calls ``read`` and returns its result; while the copies are on the device, returns ``read`` uncalled."""
         ...
 
 
@@ -51,11 +51,11 @@ class HostCopies:
         self._words = {name: values.reshape(-1).view(np.float32) for name, values in arrays.items()}
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """Returns ``count`` 32-bit words of array ``name``, starting at word ``first``; None: all that follow."""
+        """Returns ``count`` 32-bit words of array ``name`` from word ``first`` on; ``count`` None: all that remain."""
         return self._words[name][first : None if count is None else first + count]
 
     def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """Returns the result of ``read``, because the copies are already on the host."""
+        """Calls ``read`` and returns its result, because the copies are already on the host."""
         return read()
 
 
@@ -78,7 +78,7 @@ class DeviceCopies:
         self._host: tuple[DeviceArray, npt.NDArray[np.float32]] | None = None
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """Downloads ``count`` 32-bit words of array ``name``, starting at word ``first``, and waits for them.
+        """Downloads ``count`` 32-bit words of array ``name``, starting at word ``first``, and waits for the download.
 
         ``count`` None: all words from ``first`` on.
         """
@@ -95,11 +95,11 @@ class DeviceCopies:
         return values[begin : begin + count]
 
     def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """Returns ``read`` itself, so that words are downloaded when it is called."""
+        """Returns ``read`` itself uncalled, so that words are downloaded when ``read`` is called."""
         return read
 
     def _download(self, target: DeviceArray, target_first: int, first: int, count: int) -> None:
-        """Copies ``count`` words of the block, from ``first`` on, to the host array ``target``, and waits for them."""
+        """Copies ``count`` words of the block, from ``first`` on, to host array ``target``, and waits for the copy."""
         stream = self._downloads.stream_of(self._block.device)
         if stream is not None:
             stream.wait_event(self._copied_event)
@@ -111,9 +111,9 @@ class DeviceCopies:
 class Downloads:
     """Pool of host and device memory blocks for copies of frames, shared by all threads.
 
-    A block returns to the pool when the object that holds it is finalised, on any thread and at any moment, even while
-    that thread takes a block. Finalizers therefore take no lock; they append the block to a deque, whose operations are
-    atomic.
+    A block returns to the pool when the object that holds it is finalised. A finalizer may run at any moment, even in a
+    thread that is just taking a block from the pool. Finalizers therefore take no lock; they append the block to a
+    deque, whose operations are atomic.
 
     Args:
         is_lazy: Copy frames on the device, and download images when they are read.

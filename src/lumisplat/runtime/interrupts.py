@@ -12,8 +12,8 @@ from contextlib import contextmanager
 def deferred_interrupt() -> Generator[Callable[[], bool]]:
     """Makes the first Ctrl C in a ``with`` block only set a flag; yields a function that returns the flag.
 
-    The caller must end the work when the flag is set. A second Ctrl C raises KeyboardInterrupt at once. Nothing changes
-    in threads other than the main one, and in programs that have set a handler for Ctrl C.
+    The caller must end the work when the flag is set. A second Ctrl C raises KeyboardInterrupt at once. The block
+    changes nothing in other threads than the main thread, or if the program has set its own handler for Ctrl C.
     """
     pressed = threading.Event()
 

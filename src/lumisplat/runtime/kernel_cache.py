@@ -31,15 +31,16 @@ _ELF_SECTIONS_OFFSET, _ELF_SECTIONS_SIZE = struct.Struct("<40xQ"), struct.Struct
 the number of entries."""
 
 _OWNER = "lumisplat.pid"
-"""Name of the file, in a folder of Warp's precompiled headers, that holds the id of the process that uses the folder.
+"""Name of a file in each folder of Warp's precompiled headers. The file holds the id of the process that uses the
+folder.
 """
 _OF_NVRTC = re.compile(r"__nvrtc_auto_pch_(\d+)_\d+")
 _ABANDONED_AFTER_S = 24 * 3600.0
-"""Age in seconds above which a folder of precompiled headers counts as abandoned if no process id is stored."""
+"""A folder of precompiled headers without a process id counts as abandoned when it is older than this, in seconds."""
 
 
 def load_module(module: KernelModule, device: str, block_threads: int) -> None:
-    """Loads a module from the cache, or compiles it into the cache, which takes seconds.
+    """Loads a module from the cache, or compiles it into the cache; compiling takes seconds.
 
     Files in the cache may be truncated when a disk fills up or a machine stops. Such files are removed with a warning.
 

@@ -1,9 +1,9 @@
 """Runs work on a device: device choice, kernel launches, CPU bands, CUDA graphs, stage timers.
 
-All kernels are launched here. A Warp launch on the CPU uses one thread but releases the GIL, so a launch is cut into
-bands (ranges of thread indices, called items) that run on the calling thread and a thread pool. CPU atomics are not
-atomic across threads, so a kernel run in bands writes each output element from one item only. Its first parameter is
-``start``, the first item of the band, and it works on item ``start + tid``.
+All kernels are launched here. A Warp launch on the CPU uses one thread but releases the GIL. A launch is therefore cut
+into bands, which run on the calling thread and a thread pool; a band is a range of thread indices, called items. CPU
+atomics are not atomic across threads, so each output element of a banded kernel is written by one item only. The
+kernel's first parameter is ``start``, the first item of the band, and it works on item ``start + tid``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
 
 COMPILING_ANNOUNCED_S = 1.0
-"""Seconds after which loading modules is announced by a warning, because it means that they are being compiled."""
+"""If loading modules takes longer than this, in seconds, a warning says that they are being compiled."""
 
 THREADS_VARIABLE = "LUMISPLAT_THREADS"
 """Environment variable that limits the CPU threads of a process, for machines with other work."""
@@ -43,8 +43,8 @@ THREADS_VARIABLE = "LUMISPLAT_THREADS"
 POOL_BYTES = 2**30
 """Memory in bytes that a GPU's pool retains when idle.
 
-Without it, the scratch space of sums and sorts, about 16 bytes for each (tile, Gaussian) pair, is allocated anew in
-every frame that is not replayed from a graph."""
+Otherwise, every frame that is not replayed from a graph would allocate the scratch space of sums and sorts anew:
+about 16 bytes for each (tile, Gaussian) pair."""
 
 Kernel = wp.Kernel | Callable[..., None]
 """A Warp kernel; type checkers see the Python function from which the kernel is made."""
@@ -99,7 +99,7 @@ def block_threads(compiled: Any) -> int:
 
 @contextmanager
 def _joined(jobs: list[Future[None]]) -> Generator[None]:
-    """Waits on exit until none of the jobs is running, also after an error or interrupt; pending jobs are cancelled."""
+    """Cancels pending jobs on exit and waits for the running ones, also after an error or interrupt."""
     try:
         yield
     finally:
@@ -136,8 +136,8 @@ class Launcher:
         device: Device name as for ``resolve_device``.
         threads: CPU threads; None: as many as this process may use.
         profile: Time each stage on CUDA too, which costs a synchronisation per stage and disables graphs.
-        parallel: Schedule work as for CUDA, with one item per pixel or pair, instead of one per tile or chunk; None: on
-            CUDA only. Results are the same, so that the CPU can verify what CUDA runs.
+        parallel: True: schedule work as for CUDA, with one item per pixel or pair; False: one item per tile or chunk.
+            None: True on CUDA only. Both schedules give the same results, so that the CPU can verify what CUDA runs.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class Launcher:
         self._loaded: dict[int, KernelModule] = {}
         """Loaded modules by ``id``; the reference to the module keeps the id from being reused."""
         self._banded: set[object] = set()
-        """Modules of which kernels have run in bands (ranges of thread indices) on several CPU threads."""
+        """Modules whose kernels have run in bands (ranges of thread indices) on several CPU threads."""
         if self.is_cuda:
             retain_pool(self.device)
 
@@ -172,7 +172,7 @@ class Launcher:
         """Returns the capacity to allocate for a list whose length a kernel has just computed; 0 if the list is empty.
 
         The CPU reads the length from its own memory. The parallel schedule does not wait for a GPU to finish: it
-        returns the largest possible length, and kernels skip elements beyond the actual length.
+        returns the largest possible length instead, and kernels skip elements beyond the actual length.
 
         Args:
             ends: Inclusive prefix sums of flags (0 or 1); the last one is the length of the list.
@@ -182,10 +182,10 @@ class Launcher:
         return most if self.is_parallel else grown_capacity(min(int(ends[-1:].numpy()[0]), most))
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
-        """Compiles and loads the kernel modules that are not loaded yet, on all threads.
+        """Compiles and loads those of the kernel modules that are not loaded yet, on all threads.
 
-        The first use on a machine takes seconds, which a warning announces; compiled modules are cached on disk. Warp's
-        compilers release the GIL.
+        Compilation on first use on a machine takes seconds and is announced by a warning; compiled modules are cached
+        on disk. Warp's compilers release the GIL.
         """
         missing = [module for key, module in {id(one): one for one in modules}.items() if key not in self._loaded]
         if not missing:
@@ -278,8 +278,8 @@ class Launcher:
     def _run_band(self, launch: Any, kernel: Kernel, start: int, end: int, inputs: Sequence[object]) -> Any:
         """Runs the thread indices from ``start`` to ``end`` of a kernel on this thread; returns the recorded launch.
 
-        If ``launch``, the recorded launch of the thread's previous band, is given, only its range is changed. Packing
-        all parameters again would take longer than running many of the bands.
+        ``launch`` is the recorded launch of the thread's previous band; None for the first band. Only its range is
+        changed, because packing all parameters again would take longer than running many of the bands.
         """
         if launch is None:
             launch = wp.launch(  # pyright: ignore[reportUnknownMemberType]
@@ -351,7 +351,7 @@ class Launcher:
         """Runs ``work`` and returns its result; on CUDA as a graph, which is captured anew when ``key`` changes.
 
         ``work`` must only launch kernels, without allocation or readback. Values that change between calls, including
-        those that ``work`` returns, must be stored in arrays, because a graph always returns the value of its capture.
+        those that ``work`` returns, must be stored in arrays, because each replay returns the values from the capture.
         The first call with a key runs the work directly, which allocates and compiles; the second call captures the
         graph.
         """
@@ -385,7 +385,7 @@ class Launcher:
         return self.is_cuda and not self.profile and bool(device.is_mempool_enabled)
 
     def _threads_of(self, kernel: Kernel) -> int:
-        """Returns the block size with which a kernel whose threads are independent is launched; 1 on the CPU."""
+        """Returns the block size for launching a kernel whose threads are independent; 1 on the CPU."""
         return block_threads(kernel) if self.is_cuda else 1
 
     def _load(self, module: KernelModule) -> None:

@@ -1,8 +1,8 @@
 """Checked wrappers of Warp's parallel primitives: prefix sums, sorts and copies of device arrays.
 
 Warp's sums and sorts use the CUDA context that is current in the thread, whichever device their arrays are on. Its
-sorts return no status: if there is no memory for scratch space, a sort only leaves an error message and the keys
-unsorted. The functions here set the context and raise errors.
+sorts return no status: if there is no memory for scratch space, a sort leaves the keys unsorted and only stores an
+error message. The functions here set the context and raise errors.
 """
 
 # Warp leaves the elements of their arrays without annotations, and its messages without a public name.

@@ -37,8 +37,7 @@ from lumisplat.scene.local_frame import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 SHADOW_BLOCKING_REACH = 6.0
-"""Distance from a Gaussian's mean, in standard deviations, beyond which it blocks no light: erfc(6 / sqrt(2)) is 2e-9.
-"""
+"""A Gaussian blocks no light farther than this many standard deviations from its mean: erfc(6 / sqrt(2)) is 2e-9."""
 
 Source = npt.NDArray[np.float64] | LightDirectional
 """Position of a point light, shape (3,), or a directional light."""
@@ -66,8 +65,8 @@ def atlas_of(source: Source, around: PlacedGaussians, config: DeepShadowConfig) 
 
     Args:
         source: Position or direction of the light.
-        around: Gaussians that the depth bins, and for a directional light the texel plane, must cover: the receivers,
-            or the casters if there are no receivers.
+        around: The receivers, or the casters if there are no receivers. The depth bins cover these Gaussians; the texel
+            plane of a directional light covers them, too.
         config: Settings.
     """
     atlas = Atlas()
@@ -166,13 +165,13 @@ def _fit_plane(atlas: Atlas, source: LightDirectional, around: PlacedGaussians, 
 
 
 def _reach(around: PlacedGaussians) -> npt.NDArray[np.floating]:
-    """Returns the radius of each of N Gaussians' footprints, 3 of its largest standard deviation, shape (N,)."""
+    """Returns the footprint radius of N Gaussians, shape (N,): 3 times the largest standard deviation of each."""
     return SHADOW_FOOTPRINT * around.scales.max(axis=1, initial=0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Texels and depth bins of a deep shadow map whose transmittance is tabulated; it is 1 in all other bins.
+    """The texels and depth bins for which a deep shadow map tabulates transmittance; it assumes 1 in all other bins.
 
     A column is the range of depth bins of one texel.
     """

@@ -29,7 +29,8 @@ Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
 _EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
 
 SURFACES_HELD = 64
-"""Largest number of meshes whose conversion to Gaussians is cached; then the least recently used one is dropped."""
+"""Largest number of meshes whose conversion to Gaussians is cached; beyond it, the least recently used one is dropped.
+"""
 
 
 class MeshesAsGaussians:
@@ -100,7 +101,7 @@ class _Surface:
         return cls(mesh, samples.gaussians, bind_surface(mesh, samples))
 
     def moved_to(self, positions: npt.NDArray[np.floating]) -> Gaussians:
-        """Returns the surface's Gaussians moved to other vertex positions of the mesh."""
+        """Returns the surface's Gaussians, moved along with the mesh to other vertex positions."""
         changed, vanished = deform_gaussians(self.binding, self.gaussians.scales, positions, None)
         opacities = np.where(vanished, np.float32(0.0), self.gaussians.opacities)
         return replace(self.gaussians, opacities=opacities, **changed)
@@ -185,7 +186,10 @@ def upload_receivers(buffers: Buffers, placed: PlacedGaussians) -> Receivers:
 
 
 def footprint_sampling(config: DeepShadowConfig, receivers: PlacedGaussians) -> FootprintSampling:
-    """Returns at which points of each receiver's footprint the shadow is looked up; points have one, the mean."""
+    """Returns the points of each receiver's footprint at which its shadow is looked up: the mean if all are points.
+
+    All receivers are points if every scale is 0.
+    """
     sampling = FootprintSampling()
     sampling.pattern, sampling.count = _PATTERN[config.sampling], config.samples
     sampling.seed = wp.uint32(config.seed)

@@ -18,16 +18,16 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 SHADOW_BLOCK_TILES = 8
-"""Side, in tiles, of the squares for which casters are culled first, before the single tiles: 256 squares in an atlas
-of 1024 x 1024 texels."""
+"""Side, in tiles, of the squares for which casters are culled before the single tiles: 256 squares in an atlas of
+1024 x 1024 texels."""
 
 BANDS_PER_THREAD = 16
 """Number of launches per CPU thread; each launch processes a range of cells. Many small ranges balance cells of
 different cost: some have many casters, others none."""
 
 PARALLEL_PARTS = 2**16
-"""Number of parts into which CUDA splits the caster lists of all cells together, one thread each, because cells are
-few and lists are long.
+"""Total number of parts into which CUDA splits the caster lists of all cells. Each part has one thread, because cells
+are few and lists are long.
 """
 
 
@@ -61,7 +61,7 @@ class OneList:
 
 
 class TileLists:
-    """For each tile (square of texels) of the atlas, lists the casters that light rays through it may intersect.
+    """Lists, for each tile (square of texels) of the atlas, the casters that light rays through it may intersect.
 
     Casters are culled for squares of tiles first, then for the tiles of each square.
 

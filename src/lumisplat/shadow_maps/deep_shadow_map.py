@@ -202,7 +202,7 @@ class DeepShadowMap:
                 receivers may be given, but the transmittance is 1 where the map is not tabulated.
 
         Returns:
-            Transmittance of each Gaussian or point, in the order of the receivers, 0..1, shape (N,) for N of them.
+            Transmittance of each of N Gaussians or points, in the order of the receivers, 0..1, shape (N,).
 
         Raises:
             SceneError: A receiver is of another type, or a value is not finite.
@@ -341,7 +341,7 @@ class DeepShadowMap:
         return self._fixed_tiles
 
     def _layout_for(self, region: Region, culling: TileLists | OneList) -> _Layout:
-        """Uploads the layout of a region's texels and depth bins, unless it is that of the last build."""
+        """Uploads the layout of a region's texels and depth bins, unless the last build used the same layout."""
         if self._layout is None or self._layout.region is not region:
             slots, columns = region.columns(self._atlas)
             values = self._buffers.get("table", wp.float32, region.voxel_count)
