@@ -68,7 +68,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     repeats: Annotated[int, arg(metavar="N")] = 20
     """Time N frames after the first."""
     viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
-    """Set the camera in place of the cameras of the files."""
+    """Set the camera with which frames are timed, in place of the cameras of the files."""
 
     def run(self) -> None:
         """Times loading and frames of the scene, and prints a table."""

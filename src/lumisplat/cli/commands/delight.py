@@ -47,7 +47,7 @@ class Delight(LevelsCommand, DeviceCommand):
     up: UpOption = "auto"
     """Set the up direction in the image of --save-environment."""
     cells: Annotated[int | None, setting("4..32", "12")] = None
-    """Trace light in N x N directions; time grows with N x N."""
+    """Trace light at each Gaussian in N x N directions; slower for larger N."""
     matt: Flag = False
     """Take all captured colour as albedo; suits materials without specular reflection."""
     seed: Annotated[int | None, setting("N", "0")] = None

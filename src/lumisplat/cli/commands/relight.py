@@ -51,7 +51,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     at: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: the avatar's centre)")] = None
     """Gather the light at this point, in the scene's coordinates."""
     gamma: Annotated[float | None, setting("0..1000", "1")] = None
-    """Multiply all light by this factor."""
+    """Multiply the gathered light by this factor."""
     exponent: Annotated[float | None, setting("0.1..64", "1")] = None
     """Narrow the cone about the normal that gathers light; 1 is matt."""
     scale_max: Annotated[float | None, setting("0..1000", "4")] = None
@@ -61,9 +61,9 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     degree: Annotated[int, arg(metavar="0..8")] = 3
     """Store the light as SH of this degree."""
     near: Annotated[float, arg(metavar="UNITS")] = 0.01
-    """Ignore everything nearer than this to the point of --at."""
+    """Ignore parts of the scene nearer than this to the point of --at."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
-    """Set the light from directions in which the scene is empty."""
+    """Set the colour of light from directions in which the scene is empty."""
     probe: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the gathered light as an image, .exr."""
     up: UpOption = "auto"

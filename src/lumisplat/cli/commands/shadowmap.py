@@ -43,7 +43,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
     """Set the fraction of the capture's light that shadows remove."""
     strength: Annotated[float | None, setting("FACTOR", "1")] = None
-    """Multiply the casters' absorption by this factor."""
+    """Multiply the absorption of light by the casters by this factor."""
     absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("NAME", "avg")] = None
     """Convert opacity to absorption by the method simple, avg, mass or diag."""
     sampling: Annotated[Literal["center", "stencil", "monte-carlo"] | None, setting("NAME", "monte-carlo")] = None

@@ -67,7 +67,7 @@ class Train(DeviceCommand):
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("NAME", "ewa")] = None
     """Rasterise as ellipses (ewa), or along the rays of any lens (unscented)."""
     kernel_degree: Annotated[int | None, setting("0..5", "2")] = None
-    """Train Gaussians with this kernel degree; degrees other than 2 need --pipeline trace."""
+    """Train with kernels exp(-c d^p) of this exponent p; others than 2 need --pipeline trace."""
     antialiased: Flag = False
     """Compensate opacities for the width of pixels (Mip-Splatting)."""
     exposures: Flag = False

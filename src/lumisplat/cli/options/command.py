@@ -268,7 +268,7 @@ class ViewsCommand(LevelsCommand, InsertingCommand):
     """Base class of commands that, from a folder of `lumisplat blocks`, load only the blocks that a camera sees."""
 
     lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
-    """Load level N, the finest within budget=COUNT Gaussians, or Gaussians of pixels=PX on screen."""
+    """Load level N, the finest within budget=COUNT Gaussians, or far blocks coarser (pixels=PX)."""
 
     @property
     def lod_pixels(self) -> float | None:
