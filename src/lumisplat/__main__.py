@@ -86,7 +86,7 @@ def _named_errors() -> Generator[None]:
 
 
 def _discard(stream: TextIO) -> None:
-    """Redirects a stream to the null device, because Python flushes the rest of its buffer at exit."""
+    """Redirects a broken output stream to the null device, so that flushing its buffer at exit raises no error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 

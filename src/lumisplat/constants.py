@@ -37,7 +37,7 @@ HIT_COUNTS = (4, 8, 16, 32)
 """Accepted values of ``TraceConfig.hits_per_pass`` and ``ShadowConfig.hits``; kernels have storage for the largest."""
 
 HIT_BUFFER_CPU, HIT_BUFFER_CUDA = 64, 32
-"""Number of sorted hits that a ray buffers per pass on the CPU, and on CUDA, where the buffer is in local memory.
+"""Number of sorted hits that a ray buffers per pass: on the CPU, and on CUDA, where the buffer is in local memory.
 Fewer passes make rays 1.6 times faster on the CPU, and 1.4 times on CUDA, than buffers of 16 hits."""
 
 TRAVERSE_STACK = 256
@@ -114,7 +114,8 @@ LIGHT_POWER_MAX = 1e30
 """Largest intensity, illuminance, radiance or irradiance of a light: products with it still fit into float32."""
 
 ENVIRONMENT_SHARE_STEPS = 2**24
-"""Steps per unit to which the probabilities of an environment's texels are rounded: float32 resolves no finer below 1.
+"""Steps per unit to which the sampling probabilities of an environment's texels are rounded: float32 is no finer below
+1.
 """
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -177,8 +178,8 @@ TRACE_SURFACES_MIN = 200
 """Smallest number of captured surface points from which lights or a sun can be estimated."""
 
 TRACE_GROUND_MIN = 0.3
-"""Length of the mean occluded direction (`ground_direction`) from which on that direction counts as downwards. The
-length is 1 above an endless plane, and 0 in a closed room."""
+"""Length of `ground_direction`, which is opposite to the mean unblocked direction at a point, from which on it counts
+as downwards. The length is 1 above an endless plane, and 0 in a closed room."""
 
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
@@ -267,8 +268,8 @@ SHADE_BANDS_PER_THREAD = 4
 """Bands (ranges of rays) per CPU thread when shading surfaces: pixels without a hit cost little."""
 
 COUNT_SUM_THREADS = 4096
-"""Number of CUDA threads that together sum an array of counts in 64 bits: (tile, item) pairs, or samples that are not
-finite."""
+"""Number of CUDA threads that together sum an array of counts in 64 bits: pairs of a raster tile and a splat or
+triangle that touches it, or samples that are not finite."""
 
 # --- Files ---
 
@@ -333,9 +334,9 @@ SURFACE_OPACITY_MIN = 0.1
 """Smallest opacity of the Gaussians that form a surface."""
 
 SURFACE_DEPTH_EXTENT, SURFACE_DEPTH_SCALES = 0.02, 2.0
-"""Distance in front of and behind the depth of a sharp surface between which a ray loses its transmittance: the larger
-of a fraction of the set's extent and a multiple of the largest scale of the Gaussian there, because coarse surfaces are
-thick."""
+"""Half the depth range around a surface in which a ray must lose its transmittance for the surface to count as sharp:
+the larger of a fraction of the capture's extent, and a multiple of the largest scale of the Gaussian there, because
+coarse surfaces are thick."""
 
 ISOTROPIC_RATIO, ISOTROPIC_SHARE_MAX = 0.9, 0.8
 """Ratio of the smallest to the middle scale above which a Gaussian counts as round, without a normal; then the
@@ -344,8 +345,8 @@ for barely trained captures.
 """
 
 AGREEING_PICKS, AGREEING_SET, AGREEING_NEIGHBOURS = 256, 50_000, 16
-"""Sample sizes for measuring how well the normals of neighbouring Gaussians agree: Gaussians that are compared,
-Gaussians among which their neighbours are searched (at most), and neighbours of each."""
+"""Sample sizes with which the agreement of neighbouring normals is measured: number of Gaussians, largest number of
+Gaussians among which their neighbours are searched, and neighbours of each."""
 
 # --- Light fitting ---
 

@@ -37,21 +37,21 @@ class CatcherLight:
     """
 
     unshadowed: Doubles
-    """Irradiance of the shadow catcher from the scene's lights, without the added objects."""
+    """Irradiance of the shadow catcher from the scene's lights, as if no objects had been added to the scene."""
     change: Doubles
-    """What the added objects change in the irradiance from the scene's lights, ``unshadowed``; includes indirect
-    light."""
+    """Change of the irradiance from the scene's lights, ``unshadowed``, by the objects added to the scene; includes
+    indirect light."""
     emitted_unshadowed: Doubles
-    """Irradiance that captures around the shadow catcher emit, along the sampled rays that hit them, without added
-    objects."""
+    """Irradiance of the shadow catcher from the captures that sampled rays hit, as if no objects had been added to the
+    scene."""
     emitted_change: Doubles
-    """What the added objects change in ``emitted_unshadowed``, the irradiance from captures; includes the objects' own
-    light."""
+    """Change of the irradiance from captures, ``emitted_unshadowed``, by the objects added to the scene; includes the
+    light that these objects emit."""
     ambient: Doubles
-    """Ambient irradiance that the scene specifies; 0 if it specifies none, so that ``emitted_unshadowed`` takes its
-    place."""
+    """Ambient irradiance of the shadow catcher that the scene specifies; 0 if it specifies none, so that the light of
+    captures, ``emitted_unshadowed``, takes its place."""
     blocked: Doubles
-    """Part of the ambient irradiance, ``ambient``, that the added objects block."""
+    """Part of the ambient irradiance, ``ambient``, that the objects added to the scene block."""
     least: Doubles
     """Lower bound of the total irradiance: pi times the linear captured colour, because no surface reflects more than
     it receives."""

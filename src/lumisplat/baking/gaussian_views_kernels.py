@@ -34,7 +34,7 @@ class GaussianViews:
     gaussian: wp.array[int]
     """Index of the view's Gaussian among all Gaussians of the scene."""
     direction: wp.array[wp.vec3]
-    """Unit direction from the camera to the Gaussian, world space."""
+    """Unit direction of the view, from the camera to the Gaussian, world space."""
 
 
 @struct
@@ -42,7 +42,7 @@ class ViewSums:
     """Sums over the samples of each view of a Gaussian; radiance has separate sums for even and odd samples."""
 
     even: wp.array[wp.vec3]
-    """Linear radiance of the even samples, without captured colours."""
+    """Sum of the linear radiance of a view over its even samples, without captured colours."""
     odd: wp.array[wp.vec3]
     count: wp.array[int]
     """Number of finite samples of the view, over which the sums are; other samples are dropped."""
@@ -50,7 +50,7 @@ class ViewSums:
     """Display-referred captured colour of the view's Gaussian if it is unlit; not a sum, as it is equal in all
     samples."""
     captured_weight: wp.array[float]
-    """1 for an unlit Gaussian, else 0."""
+    """1 for a view of an unlit Gaussian, which shows its captured colour, else 0; not a sum."""
     factor: wp.array[wp.vec3]
     """Factor of an unlit Gaussian's captured colour that shadows leave, 0..1; only without path tracing."""
     unshadowed: wp.array[wp.vec3]

@@ -30,7 +30,7 @@ from lumisplat.scene.ops.neighbours import morton_order
 from lumisplat.scene.scene import Scene, SplatInstance
 
 RAYS_PER_DIRECTION = 2
-"""Number of rays to a Gaussian in the joint fit, for each direction of its separate fit."""
+"""Number of rays towards a Gaussian in the joint fit, per direction from which it is viewed in its separate fit."""
 
 RAY_DRAWS = 8
 """Largest number of times that rays are drawn for a Gaussian that has too few usable ones. In closed rooms a quarter
@@ -50,7 +50,7 @@ CONTRIBUTION_MIN = 0.005
 """Blend weight below which a Gaussian is ignored on a ray. Half of the hits are below it, with 1 % of the colour."""
 
 COVERED_MIN = 0.05
-"""Blend weight that relit sets must have together on a ray, for the ray to enter the joint fit."""
+"""Total blend weight above which a ray's Gaussians cover it enough for the ray to enter the joint fit."""
 
 OTHERS_MAX = 0.02
 """Blend weight that meshes and sets which are not baked may have together on a ray of the joint fit, which cannot
@@ -68,14 +68,14 @@ CHANGE_SPREAD = 0.15
 divided by l + 1, so that noise does not make diffuse surfaces view-dependent."""
 
 MISFIT = 0.03
-"""Error of blended SH colours, display-referred, that is expected in addition to noise."""
+"""Standard deviation, display-referred, of the error of blended SH colours that is expected in addition to noise."""
 
 JOINT_STEPS = 40
-"""Largest number of conjugate gradient steps. With ten steps, images have 0.3 dB less PSNR in a room, 0.3 on a statue
-and 0.6 on a rough metal ball."""
+"""Largest number of conjugate gradient steps of the joint SH fit. With ten steps, images have 0.3 dB less PSNR in a
+room, 0.3 on a statue and 0.6 on a rough metal ball."""
 
 JOINT_ERROR = 1e-6
-"""Relative residual at which conjugate gradients end, as single precision on the device cannot resolve less."""
+"""Relative residual at which the conjugate gradients of the joint fit end; float32 on the device resolves no less."""
 
 JOINT_RAYS = 2**19
 """Number of rays in one joint fit, such as those to 8,192 Gaussians with 32 directions."""

@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 
 @struct
 class Contributions:
-    """Contributions: pairs of a Gaussian and a ray on which it is blended."""
+    """Pairs of a Gaussian and a ray on which it is blended, one array element each."""
 
     ray: wp.array[int]
     gaussian: wp.array[int]

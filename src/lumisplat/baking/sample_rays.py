@@ -16,8 +16,8 @@ from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import SplatInstance
 
 SIDE_MIN = 0.05
-"""Smallest fraction of a Gaussian's view weight at which a side of it counts as visible. Views of the other side are
-mirrored to the visible one."""
+"""Smallest fraction of a Gaussian's view weight at which its front or back counts as visible. Views of a side that
+does not are mirrored to the other."""
 
 BACK_WEIGHT = 0.02
 """Weight of views of a Gaussian's back relative to views of its front; only if the capture stores normals."""

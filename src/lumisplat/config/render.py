@@ -55,7 +55,7 @@ EVERY_FRAME = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index",
 """Layers that every frame has."""
 
 PATH_AOVS = (*PATH_PARTS[:4], "bounces")
-"""Layers of path-traced frames; real-time frames have them, too, except ``bounces``."""
+"""Layers that path-traced frames can have; real-time frames can have them, too, except ``bounces``."""
 
 REALTIME_AOVS = ("motion", "history", "probes", "cache", "cache_cells")
 """Layers that only real-time frames have: motion of surfaces, and data that the next frame reuses."""

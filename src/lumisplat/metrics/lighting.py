@@ -34,7 +34,8 @@ NEIGHBOURHOOD_RADIUS = 1.5
 al. 2026, section 4.1."""
 
 TRIMMED_SHARE = 0.05
-"""Fraction of the points, those with the largest residuals, that a fit leaves out (Mir et al. 2026, section 4.1)."""
+"""Fraction of the points that a robust fit leaves out: those with the largest residuals (Mir et al. 2026, section
+4.1)."""
 
 HUBER_WIDTH_MIN = 0.05
 """Smallest width of the Huber loss, as a relative residual: 8-bit colours are no more exact, so smaller residuals

@@ -24,11 +24,11 @@ RELOCATED_MAX = 51
 value."""
 
 SPLIT_SCALE = 0.01
-"""Largest scale of a Gaussian, as a fraction of the camera extent, above which it is split instead of cloned. Kerbl et
-al. 2023."""
+"""Limit of a Gaussian's largest scale, as a fraction of the camera extent: below, densification clones it, above, it
+splits it. Kerbl et al. 2023."""
 
 SPLIT_SHRINKS = 1.6
-"""Factor by which the scales of a split Gaussian are divided. Kerbl et al. 2023, section 5.2."""
+"""Divisor of the scales of the two Gaussians into which one is split. Kerbl et al. 2023, section 5.2."""
 
 TOO_LARGE = 0.1
 """Largest scale of a Gaussian, as a fraction of the camera extent, above which it is pruned."""

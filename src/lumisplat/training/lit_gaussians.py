@@ -48,12 +48,12 @@ class Materials:
 
 
 class LitGaussians:
-    """Shades Gaussians by traced incident radiance, on the device.
+    """Shades N Gaussians by traced incident radiance, and differentiates the result, on the device.
 
     Args:
         launcher: Runs the kernels.
         buffers: Owner of the device arrays.
-        means: Means of the N Gaussians, shape (N, 3).
+        means: Means of the Gaussians, shape (N, 3).
         incident: Incident radiance of each Gaussian.
     """
 

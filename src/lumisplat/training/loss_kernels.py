@@ -184,7 +184,8 @@ def differentiate_rows(
 ):
     """Writes the loss gradient of each pixel of a run, and the run's sums of four error terms. One thread per run.
 
-    A run is consecutive pixels of a row. The terms are L1, squared error, alpha error and cross entropy of alpha.
+    A run is consecutive pixels of a row. The terms are L1, squared error, absolute alpha error and cross entropy of
+    alpha.
     """
     item = start + wp.tid()
     y, left, right = run_of(item, grid)

@@ -150,8 +150,8 @@ ENVIRONMENT_REFINE_RATE = 0.005
 fall exponentially to a tenth."""
 
 ALBEDO_SMOOTHNESS = 0.05
-"""Weight of squared differences, between neighbouring Gaussians, of the change of log albedo since the start of the
-fit."""
+"""Weight of the squared difference, within pairs of neighbouring Gaussians, of how much log albedo has changed since
+the start of the fit."""
 
 ROUGHNESS_SMOOTHNESS = 0.05
 """Weight of squared differences of roughness between neighbouring Gaussians."""

@@ -218,7 +218,7 @@ def with_random_points(
     """Returns the given points and colours, and adds random ones if there are too few.
 
     Args:
-        points: Points that come with the images, world space, shape (N, 3). If None, the result is None, too.
+        points: N points that come with the images, world space, shape (N, 3). If None, the result is None, too.
         colors: Display-referred sRGB of ``points``, 0..1, shape (N, 3); None if unknown.
         cameras: Training cameras, in whose views the random points are placed.
         config: Training settings.

@@ -244,7 +244,7 @@ def write_pair(path: Path, image: FloatArray, shown: FloatArray) -> None:
 
 
 CURVE_EVERY = 50
-"""Number of iterations that one point of the training curve averages."""
+"""Number of iterations whose mean error is one point of the training curve."""
 SIZE = (960, 480)
 MARGIN = 50
 DOT_RADIUS = 3
@@ -401,7 +401,7 @@ class Checkpoint:
     """State of a training from which it resumes, without its settings and images."""
 
     iteration: int
-    """Number of iterations completed."""
+    """Number of training iterations completed."""
     parameters: TrainedParameters
     record: dict[str, FloatArray]
     """Densification statistics of each Gaussian since the last densification, by the names in `RECORD`."""

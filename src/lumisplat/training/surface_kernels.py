@@ -284,7 +284,7 @@ def sobel_weight(along: int, across: int) -> float:
 
 @wp.func
 def edge_weight(change: wp.vec3) -> float:
-    """Returns the weight of the smoothness term for a colour difference: 1 for none, towards 0 at strong edges."""
+    """Returns the weight of the smoothness term at a colour difference ``change``: 1 at 0, near 0 at strong edges."""
     total = wp.exp(-wp.abs(change[0])) + wp.exp(-wp.abs(change[1])) + wp.exp(-wp.abs(change[2]))
     return total / 3.0
 
