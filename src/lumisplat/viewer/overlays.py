@@ -273,7 +273,7 @@ def _wire_sphere(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
 
 
 def _cone_lines(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
-    """Returns the outline of a spot light: the outer cone's edges, and the circle at the end of the inner cone.
+    """Returns a spot light's outline: four edges and end circle of the outer cone, end circle of the inner cone.
 
     The cone is as long as the light's range; without a range, six times ``size``, the symbol size of lights.
     """

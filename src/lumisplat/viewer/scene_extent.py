@@ -21,7 +21,7 @@ power of ten, because the depth range of a page ends at 167 units."""
 
 @dataclass(frozen=True)
 class Extent:
-    """Centre, size and ground height of a scene without stray Gaussians, measured when the scene is opened.
+    """Centre, size and ground height of a scene when it was opened; stray Gaussians do not count.
 
     Only the ground height is measured again when the up direction changes.
     """

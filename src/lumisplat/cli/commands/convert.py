@@ -176,7 +176,8 @@ _UP_SOURCES = {
     "axes": "from the axes of the capture, as no ground was found: check the result",
     "stated": "from the file, as no ground was found",
 }
-"""How the capture's up direction was found where no ground was, in words, by the source that `find_up` reports."""
+"""Words for how `find_up` found the up direction of a capture in which it found no ground, by the source that it
+reports."""
 
 
 def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:

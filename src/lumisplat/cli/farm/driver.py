@@ -31,7 +31,7 @@ from lumisplat.cli.output.images import refuse_standard_output
 _log = logging.getLogger("lumisplat")
 
 CORES = 4
-"""Number of CPU cores per worker process from which the default number of workers follows."""
+"""Without GPUs and ``--cores``, the default number of workers is that of all CPU cores divided by this number."""
 TRIES = 2
 """Number of times that a frame is tried: one that ends two workers would probably end a third."""
 FAILURES_IN_A_ROW = 4

@@ -66,7 +66,7 @@ class PartFolder(FrameFolder):
         return any(path.is_file() for path in (self.path(index), *self.holders[index]))
 
     def tidy(self, index: int) -> None:
-        """Removes the files of the parts from which the part with a number, a tile or image, was made."""
+        """Removes the files that the part with a number merged: the sample blocks of a tile or image."""
         _remove_parts(self._parts.get(self.path(index), []))
 
     def join(self, report: Report) -> list[Path]:

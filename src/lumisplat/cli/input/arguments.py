@@ -109,7 +109,7 @@ def _group(field: Field[Any]) -> Any:
 
 
 _OPTION_OF = {"aovs": "--aov"}
-"""Option of each setting for which it is not ``--`` and the setting's name, by setting."""
+"""Option by setting, for settings whose option is not ``--`` followed by their name."""
 _OPTION_OF_ENUM = {"NormalEstimate": "--normals", "Absorption": "--absorption", "ReceiverSampling": "--sampling"}
 """Option whose values are members of an enum, by the enum's class name."""
 _SETTINGS_WITH_OPTION = ("pipeline", "samples", "background", "lighting", "shadows", "tone_map", "capture_gain", "aovs")

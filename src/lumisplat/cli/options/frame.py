@@ -383,7 +383,7 @@ def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: 
 def _unlit_captures(config: ls.RenderConfig, scene: ls.Scene, *, has_actors: bool) -> Iterator[str]:
     """Yields a warning if the scene has lights, but captures without a material, which lights do not affect.
 
-    Warns only if no capture of the scene is relit, or if such a capture stores an albedo and could be relit.
+    Warns only if no capture has a material, or if a capture without one stores an albedo and could be relit.
 
     Args:
         config: Settings of the frame.

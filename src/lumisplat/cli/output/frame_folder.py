@@ -78,14 +78,14 @@ class FrameFolder:
         return self.path(index).is_file()
 
     def is_stopped(self, index: int) -> bool:
-        """True if a frame was begun and stopped at a time limit, so that a later run continues it; False here."""
+        """True if a frame was stopped at a time limit, so that a later run continues it; False in this base class."""
         return False
 
     def tidy(self, index: int) -> None:
         """Removes the files that were needed only to make the frame with a number; does nothing in this base class."""
 
     def prepare(self, provenance: Mapping[str, str], overwrite: bool) -> None:
-        """Creates the folder and its stamp. Existing frames stay if they have the same provenance.
+        """Creates the folder and the stamp file that stores the provenance; frames of the same provenance stay.
 
         Args:
             provenance: Values of all settings and files that the frames depend on, as text by name.

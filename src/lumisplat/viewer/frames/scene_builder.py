@@ -215,7 +215,7 @@ class Levels:
         self._on_made, self._progress, self._is_busy = on_made, progress, is_busy
         self._made: weakref.WeakKeyDictionary[ls.Gaussians, _CaptureLevels] = weakref.WeakKeyDictionary()
         self._scenes: dict[int, tuple[ls.Scene, ls.Scene]] = {}
-        """Last complete result of `scene` by level: the scene that was passed, and its reduced version."""
+        """Argument and result of the last call of `scene` for which all captures had the level, by level."""
         self._wanted: SimpleQueue[weakref.ref[ls.Gaussians] | None] = SimpleQueue()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="lumisplat levels", daemon=True)

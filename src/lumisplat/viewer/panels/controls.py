@@ -192,7 +192,7 @@ def keep_unchanged_numbers(given: Any, before: Any, width: int = _NUMBER_CHARACT
 
 
 def set_unused(handle: Any, hint: str | None, reason: str | None) -> None:
-    """Disables a control that has no effect, and adds the reason to its tooltip.
+    """Disables a control that has no effect, and adds the reason to its tooltip; a reason of None enables it.
 
     Args:
         handle: The control.

@@ -341,7 +341,7 @@ def _cleared_aliases(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
 
 
 def rotated_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
-    """Returns a quaternion (w, x, y, z) followed by a rotation about a world-space unit axis."""
+    """Returns the quaternion (w, x, y, z) of rotation ``wxyz``, then of a rotation about a world-space unit axis."""
     from viser import transforms
 
     rotation = transforms.SO3.exp(np.array(axis) * math.radians(degrees))
@@ -474,7 +474,7 @@ class Crop:
 
 
 def crop_ranges(document: ls.io.SceneDocument, number: int, session: Session) -> tuple[Ends, Ends]:
-    """Returns the bounds of all Gaussian means of a capture's file, and the wider range that the crop sliders cover.
+    """Returns the bounds of all Gaussian means of a capture's file, and the range that the crop sliders cover.
 
     The sliders cover the bounding box without stray Gaussians, plus `_MARGIN` at each end.
     """
