@@ -77,7 +77,7 @@ class Camera:
     the first row."""
     near: Annotated[float, Range(0.0, unit="scene units", above=True)] = NEAR_PLANE
     """Near plane: surfaces at a smaller view depth (for a fisheye: distance from the eye) are not drawn. The default
-    is halved until it is at most a thousandth of the size of the scene's largest capture or mesh."""
+    value is halved until it is at most a thousandth of the size of the scene's largest capture or mesh."""
     name: str = ""
     """Name of the camera and of the frames rendered with it; in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE
@@ -88,18 +88,20 @@ class Camera:
     focus_distance: Annotated[float, Range(0.0, unit="scene units", above=True)] = 1.0
     """View depth of the plane in focus; for a fisheye, the radius of the sphere in focus."""
     camera_from_world_end: npt.NDArray[np.float64] | None = None
-    """Rolling shutter: pose at the end of the last row, shape (4, 4). Row y is exposed at the fraction (y + 0.5) /
-    height of the motion, in which the eye moves on a straight line and the rotation is slerped. None: global shutter.
+    """Rolling shutter: pose at the end of the last row, shape (4, 4). The eye moves from the first pose to this one on
+    a straight line, and the rotation is slerped; row y is exposed at the fraction (y + 0.5) / height of the motion.
+    None: global shutter.
     """
     distortion: Coefficients = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """Lens distortion k1, k2, k3, k4, p1, p2 of OpenCV's pinhole (k1, k2, k3, p1, p2) and fisheye (k1 to k4) models.
-    With the undistorted (u, v) and s = u^2 + v^2, a point appears at (u, v) (1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4) plus
-    (2 p1 u v + p2 (s + 2 u^2), 2 p2 u v + p1 (s + 2 v^2)). Not for orthographic cameras."""
+    With s = u^2 + v^2, the undistorted point (u, v) appears at (u, v) (1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4) plus
+    (2 p1 u v + p2 (s + 2 u^2), 2 p2 u v + p1 (s + 2 v^2)). Orthographic cameras have no distortion."""
     exposure: Annotated[float, Range(-EXPOSURE_MAX, EXPOSURE_MAX, "stops")] = 0.0
     """Exposure of lit frames: linear light is multiplied by 2 to this power for display."""
     window: tuple[int, int, int, int] | None = None
-    """Rendered part of the image: left, top, width and height in pixels. Its pixels equal those of the whole image to
-    the bit. Its edges are multiples of 16 pixels, or edges of the image. None: the whole image."""
+    """Rendered part of the image: left, top, width and height in pixels; None: the whole image. A window's pixels
+    equal, to the bit, the same pixels of the whole image. A window's edges are multiples of 16 pixels, or edges of the
+    image."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self, "camera ")
@@ -178,7 +180,7 @@ class Camera:
 
     @property
     def image_size(self) -> tuple[int, int]:
-        """Width and height of a rendered frame in pixels: those of ``window``, else those of the whole image."""
+        """Width and height of a rendered frame in pixels: the size of ``window``, or of the whole image without one."""
         return (self.width, self.height) if self.window is None else self.window[2:]
 
     @property
@@ -193,7 +195,7 @@ class Camera:
 
     @property
     def eye(self) -> Doubles:
-        """World position of the centre of projection, shape (3,); for orthographic cameras, of the principal point."""
+        """World position of the camera, shape (3,): centre of projection, or origin of the central orthographic ray."""
         return self.world_from_camera[:3, 3]
 
     @property
@@ -285,9 +287,9 @@ class Camera:
         return np.asarray(np.linalg.inv(end), dtype=np.float64)
 
     def _shutter_sine_cosine(self) -> tuple[Doubles, float]:
-        """Returns the rotation from first to last row: world-space axis times sine of its angle, and cosine.
+        """Returns the rotation from first to last row: world-space axis times sine of the angle, (3,), and cosine.
 
-        The first is exactly 0 without rotation.
+        The vector is exactly 0 without rotation.
         """
         first, last = self.world_from_camera[:3, :3].T, self._world_from_camera_end[:3, :3].T
         return 0.5 * np.cross(first, last).sum(axis=0), 0.5 * (float(np.sum(first * last)) - 1.0)

@@ -24,13 +24,16 @@ Vector = tuple[float, float, float]
 
 
 def check_kind(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
-    """Raises a `SceneError` unless ``value`` is an instance of ``kind``; ``expected`` describes it in the message."""
+    """Raises a `SceneError` unless ``value`` is an instance of ``kind``; ``expected`` names ``kind`` in the message."""
     if not isinstance(value, kind):
         raise SceneError(f"{name} is a {type(value).__name__}, expected {expected}")
 
 
 def check_argument(function: str, value: object, kind: type, expected: str, hint: str = "") -> None:
-    """Raises a `SceneError` unless ``value``, an argument of ``function``, is a ``kind``; ``hint`` ends the message."""
+    """Raises a `SceneError`, ending in ``hint``, unless ``value``, an argument of ``function``, is a ``kind``.
+
+    ``expected`` names ``kind`` in the message.
+    """
     if not isinstance(value, kind):
         raise SceneError(f"{function} takes {expected}, got a {type(value).__name__}{hint}")
 

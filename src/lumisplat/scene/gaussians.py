@@ -43,11 +43,11 @@ _OPTIONAL = ("normals", "albedo", "roughness", "metallic", "incident")
 class Gaussians:
     """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
 
-    Arrays become read-only float32; an array that already is read-only float32 is not copied. Inputs must be finite, of
-    matching shapes, with positive scales and opacities in 0..1. Quaternions are normalised.
+    Arrays become read-only float32; an array that already is read-only float32 is not copied. Arrays must be finite and
+    of matching shapes, scales positive, and opacities in 0..1. Quaternions are normalised.
 
     Raises:
-        SceneError: An input breaks one of these rules; the message names the input and counts the invalid values.
+        SceneError: An array breaks one of these rules; the message names the array and counts its invalid values.
     """
 
     means: FloatArray = given(converter=to_floats)
@@ -79,19 +79,20 @@ class Gaussians:
     incident: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
     """Indirect light at each Gaussian when the images were taken, as Relightable 3D Gaussians trains it in addition to
     the environment: SH coefficients of incident linear radiance, shape (N, J, 3) with J = 1, 4, 9 or 16 coefficients
-    per channel; the radiance is max(SH sum, 0). Lumisplat stores it for other programs and does not light with it."""
+    per channel; the radiance is max(SH sum, 0). Lumisplat stores the coefficients for other programs and does not light
+    with them."""
 
     up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
     """Unit vector that points up in the capture; None: unknown. Accepts an axis name or a direction, as
     `lumisplat.Scene` does."""
     first_view: Camera | None = field(default=None, kw_only=True)
-    """Default camera for looking at the capture, such as the camera of one of its images; it looks at the point at its
-    ``focus_distance``. None: unknown."""
+    """Default camera for looking at the capture, such as the camera of one of its images; None: unknown. The camera's
+    ``focus_distance`` is the depth of the point at which it looks."""
 
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
     """World position of the capture's coordinate origin, scene units, float64; a transform given to an instance
-    replaces it. Means and first view of captures in map coordinates are relative to it: float32 would round absolute
-    positions to 0.5 units."""
+    replaces it. The means and the first view are relative to this origin. Captures in map coordinates need it, because
+    float32 would round absolute positions to 0.5 units."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -153,7 +154,7 @@ class Gaussians:
         return {name: values for name, values in named.items() if values is not None}
 
     def subset(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Gaussians:
-        """Returns the Gaussians that ``rows`` (a mask or indices) selects, in that order."""
+        """Returns the Gaussians that ``rows`` selects, a mask or indices; with indices, in the order of the indices."""
         return replace(self, **{name: read_only_view(values[rows]) for name, values in self.arrays().items()})
 
 
@@ -163,12 +164,12 @@ def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
     SH of lower degree are padded with zeros. Comments come from the first set; up and first view come from the first
     set that has them.
 
-    Antialiased sets merge with ordinary ones only if the antialiased sets are opaque, as Gaussians made from meshes
-    are; the result is not antialiased.
+    Antialiased sets can be merged with ordinary sets only if all antialiased sets are opaque, as Gaussians made from
+    meshes are. The result is then not antialiased.
 
     Raises:
-        SceneError: The list is empty; only some sets are antialiased, and not all of these are opaque; kernel degrees
-            differ; or the sets are so far from each other that float32 holds no common origin.
+        SceneError: The list is empty; antialiased sets that are not all opaque are mixed with ordinary sets; kernel
+            degrees differ; or the sets are so far from each other that float32 holds no common origin.
     """
     if not sets:
         raise SceneError("zero Gaussian sets, expected at least one")

@@ -26,7 +26,7 @@ from lumisplat.scene.checks import COLOR, Vector, take_scene_fields
 
 
 def vector(name: str, values: npt.ArrayLike) -> Vector:
-    """Converts ``values`` to three Python floats; ``name`` names the values in the error.
+    """Converts ``values`` to three Python floats; errors call the values ``name``.
 
     Raises:
         SceneError: The values are not three finite numbers.
@@ -39,12 +39,12 @@ def vector(name: str, values: npt.ArrayLike) -> Vector:
 
 
 def to_vector(values: npt.ArrayLike, name: str = "vector") -> Vector:
-    """Converts three finite numbers to a vector: the form of `vector` that dataclass fields use as their converter."""
+    """Converts three finite numbers to a vector: `vector` in the form that dataclass fields need as a converter."""
     return vector(name, values)
 
 
 def direction_of(name: str, values: npt.ArrayLike) -> Vector:
-    """Converts ``values`` to a unit vector; ``name`` names them in the error.
+    """Converts ``values`` to a unit vector; errors call the values ``name``.
 
     Raises:
         SceneError: The direction has no length, or is not three finite numbers.
@@ -60,7 +60,8 @@ def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.Arra
     """Returns the unit vector of ``direction``, or from ``start`` to ``target``; ``kind`` names the light in errors.
 
     Raises:
-        SceneError: ``direction`` (not 0) and ``target`` are both given, or neither is, or ``target`` equals ``start``.
+        SceneError: Both ``direction`` (not 0) and ``target`` are given, or none of the two, or ``target`` equals
+            ``start``.
     """
     is_given = bool(np.any(np.asarray(vector("direction", direction)) != 0.0))
     if target is None:
@@ -78,7 +79,7 @@ def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.Arra
 def facing_edges(
     position: Vector, edges: tuple[Vector, Vector], target: npt.ArrayLike | None, size: npt.ArrayLike | None
 ) -> tuple[Vector, Vector]:
-    """Returns two edges, ``size`` (width, height) long, of a rectangle that faces ``target``; the first is horizontal.
+    """Returns the edges of a rectangle that faces ``target``, ``size`` (width, height) long; the first is horizontal.
 
     Raises:
         SceneError: Only one of target and size is given, edges are given in addition, or the size is not positive.
@@ -273,9 +274,9 @@ class LightDirectional:
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """World position from which the light travels towards ``target``, at any distance; replaces ``direction``."""
+    """World position, at any distance, from which the light travels towards ``target``; replaces ``direction``."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """World position towards which the light travels from ``position``; None: the origin."""
+    """World position towards which the light travels, if ``position`` is given; None: the origin."""
 
     def __post_init__(self, position: npt.ArrayLike | None, target: npt.ArrayLike | None) -> None:
         take_scene_fields(self)
@@ -527,7 +528,8 @@ class LightEnvironment:
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="x image")] = 1.0
-    """Factor that, with ``color``, multiplies the image's radiance, or the radiance 1 without an image."""
+    """Factor that multiplies the radiance, as ``color`` does. Without an image the radiance before both factors is 1.
+    """
     rotation_wxyz: tuple[float, float, float, float] = given(converter=_unit_quaternion, default=(1.0, 0.0, 0.0, 0.0))
     """World-from-environment rotation, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), 180 degrees
     about x."""
@@ -563,12 +565,12 @@ Light = PlacedLight | LightDirectional | LightEnvironment
 LIGHT_KINDS: dict[str, type[PlacedLight | LightDirectional]] = {
     one.kind: one for one in (LightPoint, LightSpot, LightDirectional, LightSphere, LightRect, LightDisk)
 }
-"""Light classes by their ``type`` in scene files; environments are missing, as scene files have a table of their own
-for them."""
+"""Light classes by their ``type`` in scene files. Environments are missing, because scene files have a separate table
+for environments."""
 
 
 def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles:
-    """Returns the unshadowed irradiance at N points on surfaces turned towards a light, the light taken as a point.
+    """Returns the irradiance that a light, as an unshadowed point, gives at N points to surfaces that face the light.
 
     The formulas are those of device/light/light.py for hard shadows.
 
@@ -613,7 +615,7 @@ def _squared(offsets: Doubles) -> Doubles:
 
 
 def _window(reach: float, distance2: Doubles) -> Doubles:
-    """Returns glTF's factor that fades light towards its range, ``clamp(1 - (distance / reach)^4, 0, 1)``, (N,)."""
+    """Returns glTF's factor ``clamp(1 - (distance / reach)^4, 0, 1)`` that fades light out towards its range, (N,)."""
     return np.clip(1.0 - (distance2 / reach**2) ** 2, 0.0, 1.0)
 
 

@@ -26,14 +26,15 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 NEAR_SHARE = 1e-3
-"""Largest near plane relative to the size of the scene's largest object: `NEAR_PLANE` is halved until it is below, so
-that a scene of millimetres, given in metres, is not clipped."""
+"""Largest ratio of the near plane to the size of the scene's largest object. `NEAR_PLANE` is halved until the ratio is
+smaller, so that a millimetre-sized scene in metres is not clipped."""
 
 # Local origins (docs/adr/0086-one-local-origin.md)
 
 ORIGIN_GRID = 16.0
-"""Step of the grid of local origins in units of the scene's size, then rounded up to a power of two. Positions keep
-five digits below the scene's size, and a scene around zero, or one that moves a little, keeps its origin."""
+"""Step of the grid of local origins, in units of the scene's size; the step is rounded up to a power of two. Positions
+keep five digits below the scene's size. A scene around zero keeps its origin, and so does a scene that moves a little.
+"""
 
 SIZE_SAMPLE = 4096
 """Largest number of means or vertices from which the size of a capture or mesh is estimated."""
@@ -46,7 +47,7 @@ CAMERA_MARGIN = 1.1
 
 
 class _Box(NamedTuple):
-    """Object-space bounding box of a capture, less outliers, or of a mesh, and the grid point near which it is."""
+    """Object-space bounding box of a capture (less outliers) or of a mesh, and the nearest point of the origin grid."""
 
     low: Doubles
     high: Doubles
@@ -59,8 +60,8 @@ class _Box(NamedTuple):
 _Asset = TypeVar("_Asset", Gaussians, Mesh)
 
 _CENTERED: WeakKeyDictionary[Gaussians | Mesh, tuple[Gaussians | Mesh, Doubles]] = WeakKeyDictionary()
-"""Cache of captures and meshes whose means or vertices are far from zero: a copy relative to a grid point, and this
-point."""
+"""Cache for captures and meshes whose means or vertices are far from zero: a copy stored relative to a point of the
+origin grid, and the grid point."""
 _BOXES: WeakKeyDictionary[Gaussians | Mesh, _Box] = WeakKeyDictionary()
 
 
@@ -75,11 +76,12 @@ class LocalFrame:
 
     @classmethod
     def of_cameras(cls, cameras: Sequence[Camera], extent: float) -> LocalFrame:
-        """Returns the frame around the mean camera position in which `camera_extent` of the cameras is ``extent``.
+        """Returns the frame around the mean camera position, with a unit in which the cameras' extent is ``extent``.
 
         Args:
             cameras: At least one camera.
-            extent: Wanted `camera_extent` in local units. If all cameras are at one position, the unit stays 1.
+            extent: Wanted `camera_extent` of the cameras in local units. If all cameras are at one position, the unit
+                stays 1.
         """
         eyes = np.stack([camera.eye for camera in cameras])
         middle, found = eyes.mean(axis=0), camera_extent(cameras)
@@ -149,7 +151,7 @@ class LocalFrame:
         return replace(scene, splats=splats, meshes=meshes, lights=[self._moved_light(light) for light in scene.lights])
 
     def _placed(self, asset: _Asset, world_from_object: Doubles) -> tuple[_Asset, Doubles]:
-        """Returns a capture or mesh, stored anew around zero if it is far from zero, and its object-to-local matrix."""
+        """Returns an asset and its object-to-local matrix; assets far from zero are first stored anew around zero."""
         matrix = world_from_object.copy()
         middle = _box(asset).middle
         if middle.any():
@@ -183,8 +185,9 @@ def camera_extent(cameras: Sequence[Camera]) -> float:
 def rendered_frame(scene: Scene) -> tuple[LocalFrame, float]:
     """Returns the local frame in which a scene is rendered, and the default near plane of its cameras.
 
-    The origin is zero unless the scene is far from zero. Otherwise the origin is the point nearest to the scene's
-    centre on a grid so coarse that a scene that moves a little keeps its origin. Small scenes get a nearer near plane.
+    The origin is zero unless the scene is far from zero. Otherwise the origin is the point of a grid that is nearest to
+    the scene's centre; the grid is so coarse that a scene that moves a little keeps its origin. Small scenes get a
+    nearer near plane.
     """
     if not (scene.splats or scene.meshes):
         return LocalFrame(np.zeros(3)), NEAR_PLANE
@@ -217,7 +220,7 @@ def register_box(gaussians: Gaussians, low: Doubles, high: Doubles) -> None:
 
 
 def needed_origin(points: Doubles, width: float) -> Doubles:
-    """Returns an origin relative to which float32 resolves the points, shape (3,); zero if it resolves them as is.
+    """Returns an origin, shape (3,), relative to which float32 resolves the points; zero if no other origin is needed.
 
     Args:
         points: Positions, shape (N, 3), float64; positions beyond float32's range are ignored.
@@ -236,14 +239,14 @@ def needed_origin(points: Doubles, width: float) -> Doubles:
 
 
 def _grid_point(middle: Doubles, size: float) -> Doubles:
-    """Returns the grid point nearest to ``middle``; the step is `ORIGIN_GRID` times ``size``, up to a power of 2."""
+    """Returns the grid point nearest to ``middle``; the step is `ORIGIN_GRID` times ``size``, rounded up to 2^k."""
     least = max(ORIGIN_GRID * size, 1e-12 * float(np.abs(middle).max()), 1e-300)
     step = 2.0 ** math.ceil(math.log2(least))
     return np.asarray(np.round(middle / step) * step, np.float64)
 
 
 def _box(asset: Gaussians | Mesh) -> _Box:
-    """Returns the object-space bounding box of a capture, less outliers, or a mesh; estimated once and cached."""
+    """Returns the object-space bounding box of a capture (less outliers) or mesh; estimated once and cached."""
     found = _BOXES.get(asset)
     if found is None:
         points = asset.means if isinstance(asset, Gaussians) else asset.positions
@@ -261,7 +264,7 @@ def _box(asset: Gaussians | Mesh) -> _Box:
 
 
 def _boxes(scene: Scene) -> tuple[Doubles, Doubles]:
-    """Returns centres and side lengths, (N, 3) each, of world-space boxes of a scene's N instances, less outliers."""
+    """Returns centres and sides, (N, 3) each, of the world-space boxes, less outliers, of a scene's N instances."""
     assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
     boxes = np.array([_box(asset)[:2] for asset in assets])
     matrices = np.array([one.transform for one in (*scene.splats, *scene.meshes)])[:, :3]
@@ -319,7 +322,7 @@ def placed_gaussians(instances: Iterable[SplatInstance], origin: Doubles = ZERO)
 
 
 def distance_from_body(points: npt.NDArray[np.floating], gaussians: PlacedGaussians) -> npt.NDArray[np.floating]:
-    """Returns the Chebyshev distance, the largest along an axis, of P points from Gaussians' bounding box.
+    """Returns the Chebyshev distance (largest component along an axis) of P points from the Gaussians' bounding box.
 
     Args:
         points: World positions, shape (P, 3).

@@ -1,8 +1,9 @@
 """Materials of meshes and splat sets, and their textures: metallic-roughness as in glTF 2.0, and a simpler model.
 
-The surface colour of a mesh is ``base_color`` times texture and vertex colour. That of a splat set is the albedo of
-its Gaussians if they have one and the material is not emissive, otherwise the decoded captured colour; ``base_color``
-and textures are not used. Roughness and metallic of the Gaussians, if they have them, replace the material's.
+The surface colour of a mesh is ``base_color`` times texture and vertex colour. The surface colour of a splat set is the
+albedo of its Gaussians, or the decoded captured colour if the Gaussians have no albedo or the material is emissive;
+splat sets ignore ``base_color`` and textures. Roughness and metallic of the Gaussians, if stored, replace the
+material's.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ Color = tuple[float, float, float]
 
 
 class AlphaMode(Enum):
-    """Meaning of a mesh material's alpha, which is ``alpha`` times that of the base colour texture (glTF 3.9.4)."""
+    """Meaning of a mesh material's alpha: the product of ``alpha`` and the base colour texture's alpha (glTF 3.9.4)."""
 
     OPAQUE = "opaque"
     """Alpha is ignored."""
@@ -106,7 +107,7 @@ class MaterialPbr:
     """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,volume,...}).
 
     At roughness 0 the surface is smooth, and reflects or refracts rays in one direction: a metal is a mirror, a
-    transmissive dielectric is glass. Unlit frames show the base colour of all other surfaces.
+    transmissive dielectric is glass. Unlit frames show smooth surfaces so, too, and the base colour of all others.
 
     Raises:
         SceneError: A value is outside its range, or a texture is not (H, W, 3 or 4) uint8.
@@ -125,9 +126,9 @@ class MaterialPbr:
     ior: Annotated[float, Range(1.0)] = 1.5
     """Index of refraction; with 1, light is neither reflected nor bent."""
     transmission: Share = 0.0
-    """Fraction of the light not reflected that is refracted through the dielectric, tinted by the base colour at each
-    crossing. The mesh should be closed, with triangles counter-clockwise from outside, so that rays can tell entering
-    from leaving. Splats, and rough meshes outside `Pipeline.PATH`, scatter the fraction back instead of refracting it.
+    """Fraction of the unreflected light that the dielectric refracts, tinted by the base colour at each crossing. The
+    mesh should be closed, with triangles counter-clockwise from outside, so that rays can tell entering from leaving.
+    Splats scatter this fraction back instead of refracting it, and so do rough meshes outside `Pipeline.PATH`.
     """
     thin_walled: bool = False
     """Treat the mesh as a thin wall without an inside: refracted light passes straight through. The settings of the
@@ -137,8 +138,8 @@ class MaterialPbr:
     attenuation_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
     """Distance inside the volume after which white light has ``attenuation_color``; inf: no absorption."""
     priority: Annotated[int, Range(-(2**31), 2**31 - 1)] = 0
-    """Priority where transmissive meshes overlap: the overlap has the volume of the mesh with the highest priority;
-    among equal priorities, of the mesh that the ray entered last."""
+    """Priority where transmissive meshes overlap: the overlap has the volume of the mesh with the highest priority.
+    Among equal priorities, it has the volume of the mesh that the ray entered last."""
     clearcoat: Share = 0.0
     """Strength of a clear coat over the whole surface (KHR_materials_clearcoat)."""
     clearcoat_roughness: Share = 0.0
@@ -149,7 +150,7 @@ class MaterialPbr:
     """Roughness of the sheen: at low roughness the sheen shows only at grazing angles. Values below 0.1 count as 0.1.
     """
     emissive: Color = given(converter=COLOR, default=(0.0, 0.0, 0.0))
-    """Emitted linear radiance of a mesh; on a splat set, factor of the captured colour that is emitted."""
+    """Emitted linear radiance of a mesh; for a splat set, factor on the captured colours that the set emits."""
     double_sided: bool = True
     """Let meshes emit from the back of their triangles, too. False: the back emits nothing, as with glTF's
     ``doubleSided``. Both sides reflect light either way."""
@@ -216,7 +217,7 @@ class MaterialPbr:
 
     @property
     def blends(self) -> bool:
-        """True if ``alpha_mode`` is BLEND, in which the background shows through a mesh where alpha is below 1."""
+        """True if ``alpha_mode`` is BLEND: the background shows through a mesh where alpha is below 1."""
         return self.alpha_mode is AlphaMode.BLEND
 
     @property
@@ -279,12 +280,12 @@ class MaterialSimple:
 
     @property
     def blends(self) -> bool:
-        """True if ``alpha_mode`` is BLEND, in which the background shows through a mesh where alpha is below 1."""
+        """True if ``alpha_mode`` is BLEND: the background shows through a mesh where alpha is below 1."""
         return self.alpha_mode is AlphaMode.BLEND
 
     @property
     def sends_rays_on(self) -> bool:
-        """True if ``alpha_mode`` is BLEND, in which rays continue through a mesh where alpha is below 1."""
+        """True if ``alpha_mode`` is BLEND: rays continue through a mesh where alpha is below 1."""
         return self.blends
 
 

@@ -41,8 +41,8 @@ class Mesh:
     """A mesh of V vertices and F triangles, counter-clockwise seen from outside.
 
     Arrays become read-only; an array that already is read-only and of the right type is not copied. Normals are
-    normalised; a normal of zero length becomes the area-weighted mean of the adjacent faces' normals. Triangles with an
-    index out of range, or without area, are left out, and a warning counts them; all vertices stay.
+    normalised; a normal of zero length becomes the area-weighted mean of the adjacent faces' normals. Triangles without
+    area or with an index out of range are left out, and a warning counts them; all vertices stay.
 
     Raises:
         SceneError: Shapes do not match, values are not finite, a colour is outside 0..1, indices are not integers, or
@@ -178,7 +178,7 @@ def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray[Any
 
 
 def area_vectors(positions: npt.NDArray[np.floating], indices: npt.NDArray[np.integer]) -> npt.NDArray[np.float64]:
-    """Returns vectors along the F triangles' normals, twice as long as the triangles' areas, shape (F, 3)."""
+    """Returns one vector per triangle, along its normal and with a length of twice its area, shape (F, 3)."""
     corners = positions.astype(np.float64)[indices]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -186,7 +186,7 @@ def area_vectors(positions: npt.NDArray[np.floating], indices: npt.NDArray[np.in
 def sum_at_vertices(
     vectors: npt.NDArray[np.float64], indices: npt.NDArray[np.integer], vertex_count: int
 ) -> npt.NDArray[np.float64]:
-    """Returns the sum of ``vectors``, shape (F, 3), over the triangles at each of V vertices, shape (V, 3)."""
+    """Returns for each of V vertices the sum of its triangles' ``vectors``, (F, 3), shape (V, 3)."""
     sums = np.zeros((vertex_count, 3))
     for corner in range(3):
         np.add.at(sums, indices[:, corner], vectors)

@@ -28,8 +28,8 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
 SEQUENCE_TIME_SLACK = 1e-6
-"""Tolerance, in frames, at which a time just before a frame already shows it: rounding makes k / fps * fps less than k
-for some k."""
+"""A time at most this much, in frames, before the time of a frame already shows that frame: rounding makes k / fps *
+fps less than k for some k."""
 
 SEQUENCE_FRAMES_KEPT = 2
 """Number of frames that a sequence caches: the current and the previous one. A frame may take a gigabyte."""
@@ -76,7 +76,7 @@ class GaussianSequence:
         return self.frame_count / self.fps
 
     def at(self, time: float) -> Gaussians:
-        """Returns the frame shown at a time; before the first frame that is the first, after the last one the last.
+        """Returns the frame shown at a time: the first frame before the sequence begins, the last frame after its end.
 
         Args:
             time: Seconds since the sequence began.
@@ -126,7 +126,8 @@ class Deforming:
 
 
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
-"""Types that an actor may show. A `Scene` means its captures and meshes, `Deforming` the instances read for the time.
+"""Types that an actor may show. A `Scene` shows its captures and meshes, a `Deforming` the instances that it reads for
+the time.
 """
 _Item = TypeVar("_Item")
 
@@ -148,7 +149,7 @@ class Actor:
     """Keyframed motion through the world, in seconds of the animation; None: the actor stays at ``world_from_object``.
     """
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Transform of the subject, shape (4, 4), to which ``motion`` is applied afterwards; None: the identity."""
+    """Transform of the subject, shape (4, 4), applied before ``motion``; None: the identity."""
     name: str = field(default="", kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether the actor casts shadows on the captures of the scene."""
@@ -187,7 +188,7 @@ class Actor:
         return self.subject if isinstance(self.subject, Rig) else None
 
     def at(self, time: float) -> tuple[Instance, ...]:
-        """Returns the actor's world-space instances at a time: one, or one per mesh of its rig or object of its scene.
+        """Returns the actor's world-space instances at a time: one per mesh of a rig or object of a scene, else one.
 
         Args:
             time: Seconds of the animation.
@@ -234,7 +235,7 @@ class Actor:
         return rig.duration(self.clip) if rig is not None and rig.clips else 0.0
 
     def _own_time(self, time: float) -> float:
-        """Converts the animation's time to the time in the clip or file sequence: times ``speed``, modulo for loops."""
+        """Returns ``speed`` times the animation's time, wrapped at the end of the clip or file sequence if it loops."""
         own, length = self.speed * time, self._length()
         return own % length if self.loop and length > 0.0 else own
 
@@ -248,7 +249,11 @@ def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ..
 
 
 def _items(name: str, items: Iterable[_Item], kind: type[_Item]) -> tuple[_Item, ...]:
-    """Converts a list to a tuple; raises a `SceneError`, which names the list ``name``, if an entry is no ``kind``."""
+    """Converts a list to a tuple of ``kind`` objects.
+
+    Raises:
+        SceneError: An entry is no ``kind``; the message calls the list ``name``.
+    """
     taken = tuple(items_of(name, items))
     for item in taken:
         if not isinstance(item, kind):

@@ -38,8 +38,8 @@ def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ..
 class CameraPath:
     """A path through K cameras: eye, rotation and focal length follow smooth cubics (Catmull-Rom 1974).
 
-    The camera stands still before the first time and after the last. With ``targets`` the camera looks at a point that
-    moves along such a cubic, too, so that the point stays in the centre of the image between the keys.
+    The camera stands still before the first time and after the last. With ``targets``, the point at which the camera
+    looks follows such a cubic, too, and stays in the centre of the image at all times.
 
     Raises:
         SceneError: There is no camera, cameras differ in size, model or distortion, one has a rolling shutter, shapes
@@ -144,7 +144,7 @@ class CameraPath:
 
 
 def _aligned(quaternions: npt.NDArray[np.floating]) -> Doubles:
-    """Flips signs of quaternions, shape (K, 4), so that each is nearer to its predecessor than its negative is."""
+    """Flips signs of quaternions, shape (K, 4), so that each has a non-negative dot product with its predecessor."""
     aligned = np.array(quaternions, dtype=np.float64)
     for k in range(1, len(aligned)):
         if aligned[k] @ aligned[k - 1] < 0.0:
@@ -155,7 +155,8 @@ def _aligned(quaternions: npt.NDArray[np.floating]) -> Doubles:
 def _cubic(times: Doubles, values: Doubles, time: float) -> Doubles:
     """Interpolates N values at a time from their values at K keys, by a cubic Hermite spline.
 
-    The slope at a key is that of the line from the previous to the next key; at the ends, of the line to the neighbour.
+    The slope at an inner key is the slope of the line from the previous key to the next one. The slope at the first or
+    last key is the slope of the line between that key and its neighbour.
 
     Args:
         times: Times of the keys, shape (K,).

@@ -120,7 +120,7 @@ class Skeleton:
     scales: Doubles
     """Scale factors of each node along its axes in the rest pose, shape (N, 3)."""
     matrices: Mapping[int, Doubles]
-    """By node, the matrix ``parent_from_node``, for nodes that a file gives as a matrix instead of translation,
+    """Matrices ``parent_from_node`` by node index, only of nodes that a file gives as a matrix instead of translation,
     rotation and scale; clips do not move these nodes."""
 
     def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> Doubles:
@@ -201,11 +201,11 @@ class RigPart:
     morphs: MorphTargets | None = None
 
     def matrices(self, world_from_node: Doubles) -> Doubles:
-        """Returns the matrix from bind pose to world of each of V vertices, shape (V, 3, 4), for posed nodes."""
+        """Returns each of V vertices' matrix from the bind pose to the world, shape (V, 3, 4), for posed nodes."""
         return blend_matrices(world_from_node[self.nodes] @ self.joint_from_bind, self.joints, self.weights)
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
-        """Returns posed world-space positions and normals, of any length, of V vertices, (V, 3) each.
+        """Returns world-space positions and normals of V vertices in a pose, (V, 3) each; normals have any length.
 
         The normals are None if the part has none.
         """
@@ -237,10 +237,11 @@ class RigSurface:
     colors: FloatArray | None
     name: str
     _usable_indices: dict[bytes, IntArray] = field(default_factory=dict[bytes, IntArray], init=False, repr=False)
-    """Cache of one entry: triangles that have an area in a pose, by the mask of these triangles as bytes."""
+    """Cache of one entry: the triangles that have an area in a pose. The key is the mask that selects them, as bytes.
+    """
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
-        """Returns posed world-space positions and normals, of any length, of all V vertices, (V, 3) each.
+        """Returns world-space positions and normals of all V vertices in a pose, (V, 3) each; normals have any length.
 
         The normals are None if a part has none.
         """
@@ -267,7 +268,7 @@ class RigSurface:
         )
 
     def _select(self, usable: npt.NDArray[np.bool_]) -> IntArray:
-        """Returns the triangles that a mask selects, and for the same mask the same array, so that caches match."""
+        """Returns the triangles that a mask selects; a repeated mask gives the same array object, so caches match."""
         key = usable.tobytes()
         if key not in self._usable_indices:
             self._usable_indices.clear()
@@ -290,7 +291,7 @@ class Rig:
     """Meshes bound to a hierarchy of joints, with animations by name; made by `load_rig`.
 
     Vertices are moved by their morph targets, then by linear blend skinning (glTF 2.0 section 3.7.3). All poses are in
-    the file's world space, with its axes (glTF: y up, +z towards the viewer).
+    the world space and axes of the file (glTF: y up, +z towards the viewer).
 
     Raises:
         SceneError: A mesh has no triangles at rest, or has values that are not finite.

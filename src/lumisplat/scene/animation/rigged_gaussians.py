@@ -16,12 +16,12 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.mesh_sampling import SurfaceSamples, sample_surfaces
 
 RIG_HIDDEN_AREA = 1e-4
-"""Ratio of a triangle's posed to its rest area below which its Gaussians become transparent: it is scaled to a
-hundredth, or so flat that float32 loses its normal."""
+"""Gaussians become transparent if their triangle's posed area is below this fraction of its rest area. The triangle is
+then scaled to a hundredth, or so flat that float32 loses its normal."""
 
 RIG_SHEAR_MIN = 1e-5
-"""Two wide axes of a deformed Gaussian count as perpendicular if the cosine between them is at most this: float32's
-rounding would otherwise rotate round discs."""
+"""Largest cosine between the two wide axes of a deformed Gaussian at which they count as perpendicular: rounding in
+float32 would otherwise rotate round discs."""
 
 _Floats = npt.NDArray[np.floating]
 
@@ -170,7 +170,7 @@ class RiggedGaussians:
     """Gaussians on the surface of a rig that follow its triangles; made by `bind_gaussians`.
 
     The barycentric coordinates of a Gaussian are fixed. The triangle's affine map from rest to pose transforms the
-    Gaussian's two wide axes; the principal axes of the ellipse that the transformed axes span become the new wide axes.
+    Gaussian's two wide axes. The transformed axes span an ellipse, and its principal axes become the new wide axes.
     Rotation, stretch and shear in the plane are thus exact; a polar decomposition with an area factor would only
     approximate skin that stretches in one direction. The thin axis is perpendicular to the wide ones and scales with
     the square root of the area ratio. Normals are interpolated between the posed vertices. Opacities, colours and
@@ -181,7 +181,7 @@ class RiggedGaussians:
     gaussians: Gaussians
     """Gaussians in the rest pose, in the rig's world space."""
     bindings: tuple[Binding, ...]
-    """Attachment of the Gaussians of each surface of the rig, in the order in which ``gaussians`` holds them."""
+    """One binding per surface of the rig; ``gaussians`` holds the Gaussians of the surfaces in the same order."""
 
     def __repr__(self) -> str:
         return f"RiggedGaussians(count={self.count}, rig={self.rig!r})"

@@ -21,12 +21,13 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.neighbours import morton_codes
 
 DECIMATE_NEIGHBOURS = 4
-"""Number of next Gaussians along the Morton curve, in each direction, with which a Gaussian may merge. More make
-passes slower and concentrate merging where it is cheap: 8 are 0.3 dB worse on a capture of a biker."""
+"""Number of Gaussians, before and again behind a Gaussian on the Morton curve, with which the Gaussian may merge.
+Higher numbers make passes slower and concentrate merging where it is cheap: 8 are 0.3 dB worse on a capture of a biker.
+"""
 
 DECIMATE_COLOR_WEIGHT = 30.0
-"""Weight of the squared colour difference of two Gaussians, display values, in the cost of merging them, relative to
-the growth of their covariance. Results stay within 0.3 dB from 10 to 100."""
+"""Weight of colour against shape in the cost of merging two Gaussians: factor on the squared difference of their
+display colours, which is added to the growth of their covariance. Results stay within 0.3 dB from 10 to 100."""
 
 DECIMATE_OPACITY_MIN = 1e-9
 """Opacities are raised to at least this before the masses (mixture weights) of Gaussians are computed: no mass may be
@@ -168,7 +169,7 @@ def _clusters(parts: Moments, colors: Doubles, count: int, progress: Callable[[f
 
 
 def _curve(means: Doubles, step: int) -> _Indices:
-    """Returns the order of means, (3, N), along a Morton curve, whose origin moves with the pass number ``step``."""
+    """Returns the order of means, (3, N), along a Morton curve whose origin depends on the pass number ``step``."""
     low, high = np.quantile(means, (0.001, 0.999), axis=1)
     extent = max(float((high - low).max()), np.finfo(np.float32).tiny)
     # The capture fills half of the cube along each axis, and shifts within it from pass to pass.
@@ -177,7 +178,7 @@ def _curve(means: Doubles, step: int) -> _Indices:
 
 
 def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
-    """Returns pairs of Gaussians, sorted along the Morton curve, of which each is the other's cheapest partner."""
+    """Returns pairs of Gaussians that are each other's cheapest partner; ``parts`` are sorted along a Morton curve."""
     count = parts.masses.size
     numbers = np.arange(count)
     best, partner = np.full(count, np.inf), np.full(count, -1, np.intp)
@@ -202,7 +203,8 @@ def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
 def _costs(parts: Moments, logs: Doubles, colors: Doubles, own: slice, other: slice) -> Doubles:
     """Returns the cost of merging Gaussian k of the slice ``own`` with Gaussian k of the slice ``other``.
 
-    It grows with covariance and colour difference. ``logs`` are the logarithms of the N covariances' determinants.
+    The cost grows with the pair's covariance and colour difference. ``logs`` are the logarithms of the determinants of
+    the N covariances.
     """
     first, second = parts.at(own), parts.at(other)
     merged = _mixture(first, second)
@@ -248,7 +250,7 @@ def decimate(gaussians: Gaussians, count: int, *, progress: Callable[[float], No
         progress: Called with the fraction done, 0..1.
 
     Returns:
-        New Gaussians in Morton order; ``gaussians`` itself if it has at most ``count``.
+        New Gaussians in Morton order; ``gaussians`` itself if it has at most ``count`` Gaussians.
 
     Raises:
         SceneError: ``count`` is not a whole number above 0.

@@ -20,38 +20,37 @@ from lumisplat.scene.placing import UP_AXES, Vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
 
 _SAMPLES = 8_000
-"""Approximate number of Gaussians of a scene, every n-th, on which the search for its ground works."""
+"""Approximate number of a scene's Gaussians that the search for the ground uses: every n-th one."""
 _PLANES = 1_500
-"""Number of random planes tried as the ground. Each goes through a random Gaussian and the second and third nearest of
-`_DRAWN` further random ones."""
+"""Number of random planes tried as the ground. A plane goes through a random Gaussian and two of `_DRAWN` others drawn
+at random: the second and the third nearest to it."""
 _DRAWN = 8
 _THICKNESS = 0.012
 """Distance from a ground plane, relative to the size of the capture, up to which Gaussians belong to the ground."""
 _CLEAR = 0.2
-"""Height of the space above a ground plane, relative to the capture's size, that must be free over part of the plane
-(`_OPEN_LEAST`)."""
+"""Height, relative to the capture's size, of the space above a ground plane that must be free over at least the
+fraction `_OPEN_LEAST` of the plane."""
 _OPEN_LEAST = 0.3
-"""Smallest fraction of a ground plane's area with free space above it. It rejects the back of a lying guitar, above
-which is the guitar's front."""
+"""Smallest fraction of a ground plane's area with free space above. The limit rejects the back of a lying guitar,
+because the guitar's front is above its back."""
 _GROUND_LEAST = 0.06
-"""Smallest fraction of the scene's visible weight (opacity times area) within `_THICKNESS` of a plane that is a
-ground."""
+"""A plane is a ground only if at least this fraction of the scene's visible weight (opacity times area) lies within
+`_THICKNESS` of the plane."""
 _FLAT_LEAST = 0.6
-"""Smallest ratio of the visible weight within `_THICKNESS` of a ground plane to that within twice this distance: on a
-flat ground it is near 1, in a slice of a wall 0.5."""
+"""Smallest ratio of the visible weight within `_THICKNESS` of a ground plane to the visible weight within twice
+`_THICKNESS`: the ratio is near 1 on a flat ground, 0.5 in a slice of a wall."""
 _BELOW_MOST = 0.12
 """Largest fraction of the scene's visible weight (opacity times area) below a ground plane."""
 _NEAR_STATED = math.cos(math.radians(50.0))
-"""A ground's normal must be within 50 degrees of an up direction that the scene or a capture states: their cosine
-exceeds this."""
+"""Smallest cosine (50 degrees) between a ground's normal and an up direction that the scene or a capture states."""
 _CELLS = (4, 24)
-"""Smallest and largest number of cells along the longer side of a ground, in which free space above it is tested;
+"""Smallest and largest number of cells along the longer side of a ground, for the test of free space above the ground;
 `_CELL_POINTS` sets the number in between."""
 _CELL_POINTS = 8
 """Wanted mean number of the ground's sampled Gaussians per cell of the test for free space."""
 _UPRIGHT = math.cos(math.radians(5.0))
-"""Without a ground, a guessed up direction whose cosine to the principal axis is above this, that is less than 5
-degrees off, is kept: principal axes are no more accurate."""
+"""Without a ground, the guessed up direction is kept if its cosine to the principal axis is above this (less than 5
+degrees off): principal axes are no more accurate."""
 _APART = 1.2
 """A principal axis is distinct if the extent along it and each other extent differ by at least this factor."""
 _LONG, _STANDS = 1.7, math.cos(math.radians(70.0))
@@ -93,11 +92,14 @@ def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
 
     The ground is the plane that contains most of the visible weight (opacity times area), with little weight below,
     much weight standing on it, and free space above at least part of it (random sample consensus, Fischler and Bolles
-    1981, then least squares). It is at most 50 degrees off an up direction that the scene or a capture states; a
-    guessed up direction only decides between equally good planes. Without a ground, a stated direction is returned. If
-    none is stated, `Scene.up_direction` is a guess, and up is the principal axis nearest to it among those along which
-    the scene is clearly longer or shorter than along the others; a long object that stands gets its long axis. If the
-    guess is less than 5 degrees from this axis, the guess itself is returned.
+    1981, then least squares). If the scene or a capture states an up direction, the ground's normal is at most 50
+    degrees off; a guessed up direction only decides between equally good planes. Without a ground, a stated direction
+    is returned.
+
+    Without a ground and a stated direction, `Scene.up_direction` is a guess. Up is then the principal axis nearest to
+    the guess. Only axes along which the scene is clearly longer or shorter than along the two others are considered; a
+    long object that stands gets its long axis. If the guess is less than 5 degrees from the axis, the guess itself is
+    returned.
 
     Args:
         scene: Scene with captures.
@@ -122,10 +124,10 @@ def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
 
 
 def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussians:
-    """Rotates a capture about its origin so that its up direction is a coordinate axis, and stores it as ``up``.
+    """Rotates a capture about its origin so that its up direction becomes a coordinate axis, stored as its ``up``.
 
-    The axis is the one nearest to the up direction that the capture states; for a capture that states none, y down, as
-    in most captures. The first view rotates with the capture.
+    The axis is the one nearest to the up direction that the capture states. If the capture states none, the axis is y
+    down, as in most captures. The first view rotates with the capture.
 
     Args:
         gaussians: Capture.
@@ -174,8 +176,8 @@ def _weighted_quantiles(values: Doubles, weights: Doubles) -> tuple[float, float
 def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None:
     """Returns the up direction of the best ground plane; None if no plane qualifies as ground.
 
-    ``guess`` is `Scene.up_direction`: if ``stated``, normals must be near it, else it only decides between similar
-    planes.
+    ``guess`` is `Scene.up_direction`. If ``stated``, the ground's normal must be near ``guess``; otherwise ``guess``
+    only decides between similar planes.
     """
     thickness = _THICKNESS * cloud.size
     normals, offsets = _planes(cloud)
@@ -260,7 +262,7 @@ def _checked(cloud: _Cloud, normal: Doubles, offset: float, thickness: float) ->
 
 
 def _is_open(cloud: _Cloud, normal: Doubles, heights: Doubles, inside: Flags, thickness: float) -> bool:
-    """Returns whether a ground is wide in both directions and, over `_OPEN_LEAST` of it, free of points above.
+    """Returns whether a ground is wide in both directions and free of points above over at least `_OPEN_LEAST` of it.
 
     Args:
         cloud: Sampled points of the scene.
@@ -285,7 +287,9 @@ def _is_open(cloud: _Cloud, normal: Doubles, heights: Doubles, inside: Flags, th
 
 
 def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEstimate:
-    """Returns the normal of the plane through given ground points, (N, 3), on the side of most weight or ``guess``.
+    """Returns the normal of the plane through N ground points, (N, 3), towards the side that holds most of the weight.
+
+    If neither side holds clearly more, the normal points to the side of ``guess``.
 
     Raises:
         SceneError: The points are fewer than three, not finite, or collinear.
@@ -309,9 +313,9 @@ def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEsti
 
 
 def _own_axis(cloud: _Cloud, guess: Doubles) -> Vector:
-    """Returns the distinct principal axis nearest to ``guess``, a long standing object's long axis, or ``guess``.
+    """Returns the principal axis taken as up: the distinct axis nearest to ``guess``, or a standing object's long one.
 
-    The axis points to the side of the guess; a guess less than 5 degrees off is returned itself.
+    The axis points to the side of ``guess``. If ``guess`` is less than 5 degrees from the axis, ``guess`` is returned.
 
     Raises:
         SceneError: The capture has no distinct axis.

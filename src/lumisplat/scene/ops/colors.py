@@ -1,4 +1,4 @@
-"""Colours of Gaussians from SH in display space (Kerbl et al. 2023), and how they change if captured light is scaled.
+"""Colours of Gaussians from SH in display space (Kerbl et al. 2023), and scaling of captured light by linear factors.
 
 See docs/method/gaussians.md#colour.
 """
@@ -20,9 +20,9 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import SplatInstance
 
 RECOLOR_DARK = 1e-4
-"""Smallest display-referred mean colour that `scale_light` divides by; darker ones are clamped to it. It lies far
-inside the linear part of the sRGB curve (0.04), where the gain equals the factor, and far above float32's rounding of
-0.5 (6e-8)."""
+"""Smallest display-referred mean colour by which `scale_light` divides; darker ones are clamped to this value. The
+value lies far inside the linear part of the sRGB curve (below 0.04), where the display gain equals the linear factor.
+It is also far above float32's rounding of 0.5 (6e-8)."""
 
 _DIRECTIONS_PER_COEFFICIENT = 8
 """Sample directions per SH coefficient when SH are fitted: twice as many give the same root mean square error."""
@@ -30,7 +30,7 @@ _STEP = 4096
 """Number of Gaussians whose SH `display_sh` converts at once."""
 
 Subject = TypeVar("Subject", Gaussians, SplatInstance)
-"""`Gaussians` or `SplatInstance`: functions return an object of the type that they are given."""
+"""`Gaussians` or `SplatInstance`; a function that is given one of the two returns an object of the same type."""
 
 
 def colors_along(gaussians: Gaussians, directions: npt.NDArray[np.floating], degree: int = SH_DEGREE_MAX) -> FloatArray:
@@ -53,8 +53,8 @@ def colors_along(gaussians: Gaussians, directions: npt.NDArray[np.floating], deg
 def display_sh(linear_sh: npt.NDArray[np.floating]) -> FloatArray:
     """Converts SH of linear colours to SH of sRGB colours, by least squares over all directions.
 
-    Before and after, a colour is its SH sum plus 0.5: the new sum plus 0.5 fits the sRGB encoding of
-    ``max(old sum + 0.5, 0)``. A single coefficient is converted exactly.
+    The linear colours are ``max(given SH sum + 0.5, 0)``. The returned SH sum plus 0.5 fits their sRGB encoding. A
+    single coefficient is converted exactly.
 
     Args:
         linear_sh: SH of linear Rec.709 colours of N Gaussians, K coefficients per channel, shape (N, K, 3).
@@ -121,7 +121,7 @@ def scale_light_of(subject: Subject, factors: npt.NDArray[np.floating]) -> Subje
 
 
 def base_colors(gaussians: Gaussians) -> npt.NDArray[np.float64]:
-    """Returns the linear albedo of N Gaussians, shape (N, 3); without an albedo, their decoded mean captured colour."""
+    """Returns the linear albedo of N Gaussians, (N, 3), or without an albedo their decoded mean captured colour."""
     if gaussians.albedo is not None:
         return gaussians.albedo.astype(np.float64)
     return decode_srgb(np.maximum(SH_C0 * gaussians.sh[:, 0].astype(np.float64) + 0.5, 0.0)).astype(np.float64)

@@ -1,7 +1,8 @@
 """Insertion of objects into captures: upright, in a plausible size, on the ground, where there is free space.
 
-The ground is found on a horizontal grid of cells: a Gaussian covers a cell with its opacity times the area of its
-projection onto the ground. docs/adr/0093-meshes-in-captures-are-placed-automatically.md explains the decisions.
+The ground is found on a horizontal grid of cells. The coverage of a cell by a Gaussian is the Gaussian's opacity times
+the area of its projection onto the ground. docs/adr/0093-meshes-in-captures-are-placed-automatically.md explains the
+decisions.
 """
 
 from __future__ import annotations
@@ -32,44 +33,45 @@ _log = logging.getLogger("lumisplat")
 _Placed = TypeVar("_Placed", SplatInstance, MeshInstance)
 
 _SIZES = (0.02, 0.75)
-"""Smallest and largest ratio of an object's diagonal to the captures' at which the object keeps its size; outside,
-both are assumed to have different units.
+"""Smallest and largest ratio of an object's diagonal to the captures' diagonal at which the object keeps its size.
+Outside this range the object's units are assumed to differ from the captures'.
 """
 _SIZE_IN_VIEW = 0.4
-"""Largest ratio of an object's diagonal to the scene's at which it keeps its size, if a capture stores a first view: a
-larger object would hide the view's subject."""
+"""Largest ratio of an object's diagonal to the scene's at which the object keeps its size, in a scene with a first
+view: a larger object would hide the view's subject."""
 _OWN_SIZE = 0.25
-"""Ratio of diagonals, object to captures, to which objects in other units are scaled: they should not fill the image.
+"""Ratio of an object's diagonal to the captures' after an object in other units is scaled: it should not fill the
+image.
 """
 _CELLS_ACROSS = 6
 """Number of cells of the ground grid across the wider side of an inserted object's footprint."""
 _REACH = 64
-"""Number of grid cells in each direction from the start in which a free position is searched: ten times the object's
-width."""
+"""Number of grid cells, in each direction from the start, within which a free position is searched: ten times the
+object's width."""
 _COVERED = 0.5
-"""Coverage by Gaussians, summed from one side, at which a grid cell's surface is reached: 0.5 gives the median visible
-depth."""
+"""Coverage at which the surface of a grid cell is reached, when Gaussians are summed from above or from below: 0.5
+gives the median visible depth."""
 _SPACINGS = 1.5
-"""Smallest side of a grid cell, in mean distances between the scene's points if they were spread evenly over the
-ground."""
+"""Smallest side of a grid cell, in units of the mean distance that the scene's points would have if they were spread
+evenly over the ground."""
 _MESH_POINTS = 400_000
 """Number of points sampled on all meshes of a scene together; at most a twentieth of them on one mesh."""
 _OUTWARDS = 0.4
-"""Mean cosine between a capture's normals and the directions from its centre, above which it is an object and no room;
-most objects have 0.5 or more."""
+"""A capture is an object and not a room if the mean cosine between its normals and the directions from its centre
+exceeds this; most objects have 0.5 or more."""
 _UPRIGHT = 0.2
 """Lower bound of a mesh triangle's projected area on the ground, relative to its area: walls, whose projection is 0,
 must still block cells."""
 _CLIMBS = 3
-"""Number of steps, each at most the object's height, by which a found ground may rise from the underside of a thick
-floor to its top."""
+"""Number of times that a found ground may rise from the underside of a thick floor towards its top, each time by at
+most the object's height."""
 _LAYER = 0.1
 """Height above the ground, in object heights, below which Gaussians, such as grass, block nothing."""
 _BLOCKED = 0.05
-"""Largest mean coverage of an object's footprint by obstacles, from the ground to the object's height, at which the
-place counts as free."""
+"""A position counts as free if obstacles, up to the object's height above the ground, cover at most this fraction of
+the object's footprint on average."""
 _MARGIN = 0.25
-"""Free margin on each side of an object, relative to its footprint, that a preferred position has: the object should
+"""Free margin on each side of an object at a preferred position, relative to the object's footprint: the object should
 stand beside furniture and not between its legs."""
 _OPEN = 2.0
 """Height above the ground, in object heights, that is free at a preferred position in a scene with a ceiling: an
@@ -77,10 +79,10 @@ object should not stand under a table."""
 _ROOFED = 0.5
 """A scene has a ceiling if more than this fraction of its ground cells have an obstacle somewhere above."""
 _KNOWN = 0.75
-"""Smallest fraction of an object's footprint over cells in which ground was found."""
+"""Smallest fraction of an object's footprint that must lie over cells in which ground was found."""
 _WIDE = 0.25
-"""Smallest area of a connected free region of the ground, relative to the largest one, in which objects are placed: it
-excludes the inside of cupboards.
+"""Objects are placed in connected free regions of the ground with at least this area, relative to the largest region:
+the limit excludes the inside of cupboards.
 """
 _FLOOR = 0.1
 """Quantile of the ground cells' heights that is taken as the height of the floor."""
@@ -88,17 +90,17 @@ _RISE = 0.5
 """Largest height of a ground cell above the floor, in object heights; higher surfaces, such as tables, are no ground.
 """
 _SCENE_OF_VIEW = 2.5
-"""Upper bound of the scene's size, in focus distances of a capture's first view: a distant background, such as a sky,
-says nothing about the subject's size."""
+"""Upper bound of the scene's size, in focus distances of a capture's first view: the extent of a distant background,
+such as a sky, does not depend on the size of the view's subject."""
 _BEFORE = 0.8
 """View depth, in focus distances, at which an object is inserted into a first view that shows no ground."""
 _ASIDE_IN_VIEW = 0.12
 _LOW_IN_VIEW = 0.36
-"""Where the foot of an inserted object appears in a first view that shows no ground: `_LOW_IN_VIEW` image heights
-below the centre, and `_ASIDE_IN_VIEW` image widths to its right."""
+"""Image heights below the centre at which the foot of an inserted object appears in a first view that shows no ground.
+The foot also appears `_ASIDE_IN_VIEW` image widths to the right of the centre."""
 _ASIDE = 0.5
-"""Preference for positions to the front and right of the start: their cost, the distance from the start, is reduced by
-up to this fraction; an object there is visible and hides little.
+"""Largest fraction by which the cost of a position, its distance from the start, is reduced if the position lies to
+the front and right of the start: an object there is visible and hides little.
 """
 
 
@@ -143,9 +145,10 @@ class Insertion:
     scale: float
     """Uniform scale factor that ``world_from_asset`` contains; 1 keeps the object's size."""
     where: str
-    """Words of the log line that tell what the object stands on, such as ``on the ground``, or why on nothing."""
+    """Words of the log line that say on what the object stands, such as ``on the ground``, or why it stands on
+    nothing."""
     size: float = 1.0
-    """Diagonal of the object, as its file gives it, over the scene's diagonal; 0 if the caller gave the scale."""
+    """Ratio of the object's diagonal, before scaling, to the scene's diagonal; 0 if the caller gave the scale."""
     fits: bool = False
     """True if the object was scaled automatically, because its file and the scene seem to have different units."""
 
@@ -157,7 +160,7 @@ class Insertion:
         return f", scaled to fit, as its file makes it {self.size:.3g} times as large as the scene"
 
     def __str__(self) -> str:
-        """Returns the TOML keys ``upright``, ``position`` and ``scale`` that place the object so in a scene file."""
+        """Returns the TOML keys ``upright``, ``position`` and ``scale`` of this placement for a scene file."""
         position = ", ".join(f"{value:.4g}" for value in self.world_from_asset[:3, 3])
         scale = f", scale = {self.scale:.4g}" if self.scale != 1.0 else ""
         return f"upright = true, position = [{position}]{scale}"
@@ -168,11 +171,11 @@ def insert(
 ) -> Scene:
     """Inserts a mesh into a scene of captures: upright, on the ground below it, in free space.
 
-    An asset with y up, like most files, or with its own scene's up direction, is rotated to `Scene.up_direction`. The
-    asset stays at its horizontal coordinates, unless the captures do not reach there or an obstacle stands there; then
-    it is moved aside. An asset whose diagonal is below 2 % or above 75 % of the captures' is assumed to be in other
-    units, and is scaled to a quarter of the captures' diagonal. A log line reports the placement. In a scene without
-    captures the asset stays as it is.
+    The asset's up direction is y, as in most files, or that of the asset's own scene; it is rotated to
+    `Scene.up_direction`. The asset stays at its horizontal coordinates, unless the captures do not reach there or an
+    obstacle stands there; then the asset is moved aside. An asset whose diagonal is below 2 % or above 75 % of the
+    captures' diagonal is assumed to be in other units, and is scaled to a quarter of the captures' diagonal. A log line
+    reports the placement. In a scene without captures the asset stays as it is.
 
     Args:
         scene: Scene that receives the asset.
@@ -248,7 +251,7 @@ def insertion(
 
 
 def _points(asset: MeshInstance | SplatInstance) -> Doubles:
-    """Returns points whose bounding box is the object's, in its file's coordinates, (N, 3): vertices or box corners."""
+    """Returns points with the bounding box of an object, file coordinates, (N, 3): a mesh's vertices or box corners."""
     if isinstance(asset, MeshInstance):
         return transform_points(asset.transform, asset.mesh.positions[np.unique(asset.mesh.indices)])
     low, high = Scene(splats=(asset,)).bulk_bounds()
@@ -257,14 +260,14 @@ def _points(asset: MeshInstance | SplatInstance) -> Doubles:
 
 @dataclass(frozen=True)
 class _VisibleScene:
-    """Gaussians and mesh points of a scene, and its bounds, rotated to axes x right, y up and z to the viewer."""
+    """Gaussians, mesh points and bounds of a scene, rotated so that x is right, y is up and z points to the viewer."""
 
     means: Doubles
     """Means of Gaussians, then points sampled on meshes, axes x right, y up, z to the front, scene units, shape (N,
     3)."""
     areas: Doubles
-    """Area that each Gaussian (times opacity) or mesh point covers on the ground plane, square scene units, shape
-    (N,)."""
+    """Area on the ground plane that each mesh point, or each Gaussian times its opacity, covers, square scene units,
+    shape (N,)."""
     solid: Flags
     """True for points of closed meshes and of captures of objects, which block all space below them, shape (N,)."""
     low: Doubles
@@ -282,7 +285,7 @@ class _VisibleScene:
 
     @classmethod
     def of(cls, scene: Scene, rotation: Doubles) -> _VisibleScene:
-        """Collects a scene's points; ``rotation``, (3, 3), takes the world to axes x right, y up, z to the front."""
+        """Collects a scene's points, rotated by ``rotation``, (3, 3), to axes x right, y up and z to the front."""
         means: list[Doubles] = []
         areas: list[Doubles] = []
         ends: list[list[tuple[float, float]]] = []
@@ -321,8 +324,8 @@ class _VisibleScene:
 def _surface(instance: MeshInstance, count: int, rotation: Doubles) -> tuple[Doubles, Doubles]:
     """Samples points on a placed mesh; returns rotated positions, (count, 3), and areas on the ground, (count,).
 
-    The area on the ground is at least `_UPRIGHT` of a triangle's own, so that walls count. A mesh without area returns
-    its vertices, with area 0.
+    A point's area on the ground is at least `_UPRIGHT` of its area on the triangle, so that walls count. A mesh without
+    area returns its vertices, with area 0.
     """
     mesh = instance.mesh
     world = transform_points(instance.transform, mesh.positions) @ rotation.T
@@ -350,7 +353,7 @@ def _faces_outwards(capture: SplatInstance) -> bool:
 
 
 def _is_closed(mesh: Mesh) -> bool:
-    """Returns whether a mesh encloses a tenth of its bounding box: its triangles face outwards, as an object's do."""
+    """Returns whether a mesh's triangles face outwards, as an object's do: the mesh encloses a tenth of its box."""
     positions = mesh.positions.astype(np.float64)
     corners = (positions - positions.mean(axis=0))[mesh.indices]
     x, y, z = (float(extent) for extent in np.ptp(positions, axis=0))
@@ -358,11 +361,11 @@ def _is_closed(mesh: Mesh) -> bool:
 
 
 def _choose_position(visible: _VisibleScene, own: Doubles, size: Doubles) -> tuple[Doubles, float, str]:
-    """Chooses x and z of an object's centre, shape (2,), and the height of its foot; returns `Insertion.where`, too.
+    """Chooses an object's position; returns x and z of its centre, (2,), height of its foot, and `Insertion.where`.
 
     Args:
         visible: Points of the scene, y up.
-        own: x and z of the object's centre in its file, shape (2,), where it stays if it can.
+        own: x and z of the object's centre in its file, shape (2,), where the object stays if it can.
         size: Size of the object's bounding box, shape (3,).
     """
     low, high, footprint = visible.low[[0, 2]], visible.high[[0, 2]], size[[0, 2]]
@@ -404,7 +407,7 @@ def _choose_position(visible: _VisibleScene, own: Doubles, size: Doubles) -> tup
 
 
 def _before(visible: _VisibleScene, view: Camera) -> tuple[Doubles, float]:
-    """Returns a foot position, (x, z), and y, low in the first view's image and nearer than the view's subject."""
+    """Returns a position for an object's foot, (x, z) and y: low in the first view and nearer than its subject."""
     right, down, forward = view.camera_from_world[:3, :3]
     slope = forward + _ASIDE_IN_VIEW * view.width / view.fx * right + _LOW_IN_VIEW * view.height / view.fy * down
     foot = view.eye + _BEFORE * view.focus_distance * slope
@@ -414,8 +417,8 @@ def _before(visible: _VisibleScene, view: Camera) -> tuple[Doubles, float]:
 def _start(visible: _VisibleScene, own: Doubles) -> Doubles:
     """Returns x and z, shape (2,), of the point from which the nearest free position for an object is searched.
 
-    It is the object's own position ``own`` if that is inside the scene and, if there is a first view, visible in it.
-    Else it is a point straight ahead in the first view, or without one the scene's centre.
+    The point is the object's own position ``own`` if ``own`` is inside the scene and visible in the first view, if
+    there is one. Otherwise it is a point straight ahead in the first view, or the scene's centre without a first view.
     """
     middle = 0.5 * (visible.low + visible.high)
     inside = bool(((visible.low[[0, 2]] <= own) & (own <= visible.high[[0, 2]])).all())
@@ -432,8 +435,8 @@ def _start(visible: _VisibleScene, own: Doubles) -> Doubles:
 def _in_view(visible: _VisibleScene, positions: Doubles, heights: Doubles) -> Flags:
     """Returns which positions lie well inside the image of the captures' first view, shape (...).
 
-    Positions beyond 1.2 focus distances, behind the view's subject, count as hidden. Without a first view, all
-    positions count as visible.
+    Positions beyond 1.2 focus distances count as hidden by the view's subject. Without a first view, all positions
+    count as visible.
 
     Args:
         visible: Points of the scene.
@@ -455,9 +458,9 @@ def _ground(
 ) -> tuple[Doubles, Callable[[float], Doubles]]:
     """Finds the height of the ground in square cells, and the obstacles on the ground.
 
-    The ground of a cell begins at the lowest Gaussians that cover half of the cell seen from below, and ends at the
-    highest ones that cover half of it seen from above, within a thin layer. Hidden Gaussians and grass lie between the
-    two.
+    The ground of a cell is a thin layer. Seen from below, it begins at the Gaussians that cover half of the cell. Seen
+    from above, it ends at the Gaussians within the layer that cover half of the cell. Hidden Gaussians and grass lie in
+    between.
 
     Args:
         visible: Points of the scene, y up.
@@ -521,11 +524,11 @@ def _wide(free: Flags) -> Flags:
 
 
 def _first_covered(number: Rows, covers: Doubles, count: int) -> Rows:
-    """Returns per cell the index of the first point at which summed coverage reaches `_COVERED`; -1: never.
+    """Returns per cell the index of the first point at which the summed coverage reaches `_COVERED`; -1 if none does.
 
     Args:
         number: Cell of each point; points must be grouped by cell.
-        covers: Fraction of its cell that each point covers.
+        covers: Fraction of the point's cell that each point covers.
         count: Number of cells.
     """
     sums = np.cumsum(covers)
@@ -538,7 +541,7 @@ def _first_covered(number: Rows, covers: Doubles, count: int) -> Rows:
 
 
 def _box_mean(values: Doubles, half: Rows) -> Doubles:
-    """Returns ``values``' mean over 2 ``half`` + 1 cells per axis around each cell; cells outside count as 0."""
+    """Returns means of ``values`` over the 2 ``half`` + 1 cells per axis around each cell; 0 outside the grid."""
     rows, columns = (int(number) for number in half)
     padded = np.pad(values, ((rows + 1, rows), (columns + 1, columns)))
     sums = padded.cumsum(axis=0).cumsum(axis=1)
