@@ -27,9 +27,9 @@ CAPTURED_LIGHT_ROWS = 32
 """Rows of the environment map that is rendered from captures: 32 rows of 5.6 degrees, finer than most highlights."""
 
 CAPTURED_LIGHT_COVERED = 0.75
-"""Smallest fraction of all directions around the meshes that captures must cover to light the meshes; below it, a
-headlight lights them. Captures of rooms, or of outdoor places with their sky, cover nearly all directions. A floor
-without a sky covers half of all directions, from below, and would leave meshes nearly black."""
+"""Captures light meshes only if they cover at least this fraction of all directions around the meshes; else, a
+headlight lights the meshes. Captures of rooms, or of outdoor places with their sky, cover nearly all directions. A
+floor without a sky covers half of all directions, from below, and would leave meshes nearly black."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -56,11 +56,11 @@ class CapturedLightCache:
         """Bounding box of the meshes around which the cached map was rendered, lowest and highest corner."""
         self._light: CapturedLight | None = None
         self._render: Callable[[Scene, Camera], Frame] | None = None
-        """Function that renders the captures, kept so that their Gaussians stay on the device. It is kept only once
-        meshes have moved while the captures stayed the same; None until then."""
+        """Function that renders the captures. If only meshes changed between the last two maps, the function is kept,
+        so that the captures' Gaussians stay on the device; else None."""
 
     def lit(self, scene: Scene, stops: float, renderer: Callable[[], Callable[[Scene, Camera], Frame]]) -> Scene:
-        """Returns the scene lit by an environment map of its captures; unchanged if they do not surround the meshes.
+        """Returns the scene lit by an environment map of its captures; unchanged if captures do not surround meshes.
 
         Args:
             scene: A scene for which `uses_captured_light` is true.
@@ -85,9 +85,9 @@ class CapturedLightCache:
 
 
 def captured_light(scene: Scene, box: Doubles, render: Callable[[Scene, Camera], Frame]) -> CapturedLight | None:
-    """Renders the captures around a box of meshes as an environment light; None if they cover too few directions.
+    """Renders the captures around a box of meshes as an environment light; None if too few directions are covered.
 
-    Directions that the captures do not cover get the mean of the covered ones.
+    Directions that no capture covers get the mean radiance of the covered ones.
 
     Args:
         scene: The scene with the captures.

@@ -1,4 +1,4 @@
-"""Meshes that are shadow catchers: two extra frames measure the shadows on them, which darken the pixels behind.
+"""Meshes that are shadow catchers: two extra frames measure the shadows on them, to darken the pixels behind the mesh.
 
 The method is in docs/method/lighting.md#meshes-that-catch-shadows.
 """
@@ -28,11 +28,12 @@ CATCHER_ALBEDO_MIN = 0.02
 """Lowest albedo of a catcher mesh in each channel: on a black mesh the shadow ratio would be 0 / 0."""
 
 CATCHER_FILL_PX = 3
-"""Number of pixels by which a catcher's shadow ratio is extrapolated under the silhouettes of objects in front of it.
+"""Width of the margin, in pixels, by which a catcher's shadow ratio is extrapolated under objects in front of the
+catcher.
 """
 
 Render = Callable[[Scene], Frame]
-"""Function that renders a scene from the camera of the frame that gets the shadows."""
+"""Function that renders a scene with one camera: the camera of the frame to which shadows are added."""
 
 
 def has_catcher_meshes(scene: Scene) -> bool:
@@ -41,7 +42,7 @@ def has_catcher_meshes(scene: Scene) -> bool:
 
 
 def without_catcher_meshes(scene: Scene) -> Scene:
-    """Returns the visible scene: without catcher meshes, and with captures that no longer catch shadows themselves."""
+    """Returns the visible scene: it has no catcher meshes, and its captures do not catch shadows."""
     splats = tuple(
         replace(one, shadow_catcher=False, material=None) if one.shadow_catcher else one for one in scene.splats
     )
@@ -65,9 +66,9 @@ def catcher_config(config: RenderConfig) -> RenderConfig:
 
 
 def catcher_scenes(scene: Scene) -> list[Scene]:
-    """Returns the scenes that `with_caught_shadows` renders, so that their kernels can be compiled in advance.
+    """Returns the two scenes that `with_caught_shadows` renders. Callers compile the scenes' kernels in advance.
 
-    One scene has the catcher meshes alone, the other has the added objects, too.
+    The first scene has only the catcher meshes, the second also the added objects.
     """
     added, catchers = _added(scene), tuple(one for one in scene.meshes if one.shadow_catcher)
     without_objects = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
@@ -78,7 +79,7 @@ def catcher_scenes(scene: Scene) -> list[Scene]:
 
 
 def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_ratio: bool) -> Frame:
-    """Adds the shadows and reflections that catcher meshes receive to a frame without these meshes; returns the frame.
+    """Returns ``frame`` with the shadows and reflections on the scene's catcher meshes, which the frame itself lacks.
 
     Args:
         frame: A lit frame of `without_catcher_meshes`, with its ``shadow_ratio``.
@@ -135,7 +136,7 @@ def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
 def _added(scene: Scene) -> Scene:
     """Returns the scene with only the objects added to the capture: without catcher meshes and background captures.
 
-    The background is all captures that catch shadows, or, if none catches shadows, all captures that are not relit.
+    The background is the captures that catch shadows; if there are none, the captures that are not relit.
     """
     plate = [one for one in scene.splats if one.shadow_catcher]
     if not plate:
@@ -145,10 +146,10 @@ def _added(scene: Scene) -> Scene:
 
 
 def _lights(scene: Scene) -> tuple[Light, ...]:
-    """Returns the scene's lights for measuring shadows: environments hidden from the camera, and always ambient light.
+    """Returns the lights for measuring shadows: the scene's, with environments hidden from the camera.
 
-    If no environment is enabled, an invisible constant one is added: the first non-zero ``ambient`` of a catcher's
-    material, else `CATCHER_AMBIENT`.
+    If the scene enables no environment, a hidden constant environment is added. Its radiance is the first non-zero
+    ``ambient`` of a catcher's material, else `CATCHER_AMBIENT`.
     """
     lights = [replace(one, visible=False) if isinstance(one, LightEnvironment) else one for one in scene.lights]
     if any(isinstance(one, LightEnvironment) and one.enabled for one in lights):
@@ -160,7 +161,7 @@ def _lights(scene: Scene) -> tuple[Light, ...]:
 
 
 def _matte(instance: MeshInstance) -> MeshInstance:
-    """Returns a catcher with a diffuse material in its base colour, or in `CATCHER_ALBEDO` if it has none.
+    """Returns a catcher with a diffuse material of its base colour; without a base colour, of `CATCHER_ALBEDO`.
 
     The base colour changes the shadow ratio only through light that bounces between the catcher and added objects.
     """
@@ -171,7 +172,7 @@ def _matte(instance: MeshInstance) -> MeshInstance:
 
 
 def _reflections(scene: Scene, added: Scene, catchers: tuple[MeshInstance, ...], render: Render) -> FloatArray:
-    """Returns the linear radiance of added objects that shiny catchers reflect, shape (H, W, 3)."""
+    """Returns the linear radiance that shiny catchers reflect from added objects, shape (H, W, 3)."""
     shiny = tuple(one for one in catchers if isinstance(one.mesh.material, MaterialPbr) and _mirrors(one.mesh.material))
     if not shiny:
         return np.float32(0.0) * np.ones((1, 1, 3), np.float32)
@@ -204,7 +205,7 @@ def _without_diffuse(material: object) -> MaterialPbr:
 def _is_in_front(frame: Frame, scene: Scene, catchers: Frame) -> Flags:
     """Returns a mask, shape (H, W), of the pixels whose captured surface hides the catcher mesh.
 
-    A surface hides the catcher if it is nearer by more than the thickness of its Gaussians.
+    A surface hides the catcher if it is nearer than the catcher by more than the thickness of the surface's Gaussians.
     """
     height = ((frame.position - catchers.position) * catchers.normal).sum(axis=2)
     thickness = np.zeros_like(height)
@@ -221,7 +222,10 @@ def _offset(frame: Frame) -> float:
 
 
 def _dilated(image: FloatArray, is_defined: Flags) -> FloatArray:
-    """Fills undefined pixels within `CATCHER_FILL_PX` of defined ones (``is_defined``) by means of their neighbours."""
+    """Extrapolates an image by `CATCHER_FILL_PX` pixels: undefined pixels get the mean of their defined neighbours.
+
+    ``is_defined`` marks the pixels that have a value.
+    """
     values, is_defined = np.where(is_defined[..., None], image, np.float32(0.0)), is_defined.copy()
     filled = image.copy()
     for _ in range(CATCHER_FILL_PX):

@@ -98,7 +98,7 @@ def check_sampling(config: RenderConfig) -> None:
 
 
 def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:
-    """Raises ConfigError if the settings ask for samples that the frame cannot have, or the frame cannot be resumed."""
+    """Raises ConfigError if a frame cannot have the samples that the settings ask for, or cannot be resumed."""
     check_sampling(config)
     if config.pipeline.is_sequence and resume is not None:
         raise ConfigError("a frame of Pipeline.REALTIME cannot be resumed: render the next frame instead")
@@ -122,7 +122,10 @@ def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
 
 
 def check_blocks(config: RenderConfig, plan: FramePlan, camera: Camera | None = None) -> None:
-    """Raises ConfigError unless a frame's samples can be split over processes: all pixels need one fixed number."""
+    """Raises ConfigError unless a frame's samples can be split over processes.
+
+    A split needs a number of samples that is fixed and the same for all pixels.
+    """
     if camera is not None and plan.rasterises and not plan.is_unscented and camera.is_distorted:
         raise ConfigError(
             "rasterised frames with lens distortion are resampled: their samples cannot be split; use Pipeline.TRACE"
@@ -204,7 +207,7 @@ class RasterWarnings:
         self._has_warned_of_normals = False
 
     def warn_of_mirrors(self, scene: Scene) -> None:
-        """Logs once that smooth meshes reflect only the environment, or the background, in lit raster frames."""
+        """Logs once that smooth meshes in lit raster frames reflect only the environment, or else the background."""
         count = sum(instance.mesh.material.is_smooth for instance in scene.meshes)
         if count and not self._has_warned_of_mirrors:
             self._has_warned_of_mirrors = True

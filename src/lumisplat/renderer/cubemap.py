@@ -70,14 +70,14 @@ def render_faces(
     """Renders a scene from a position to the six faces of a cube map.
 
     Unlit frames are decoded by `captured_radiance`; lit frames are linear already. Pixels without a surface show the
-    background of the frames, or in lit frames the scene's visible environment.
+    scene's visible environment in lit frames, else the background of the frames.
 
     Args:
         scene: The scene.
         position: Centre of the cube, world space, shape (3,).
         render: Renders a face, as `lumisplat.Renderer.render` does.
         face_px: Pixels along a face's edge.
-        near: Half the side of a cube around the position inside which nothing is rendered, scene units.
+        near: Half the side, scene units, of a cube around the position; nothing inside the cube is rendered.
 
     Raises:
         SceneError: ``render`` refuses the scene.

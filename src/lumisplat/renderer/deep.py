@@ -1,4 +1,4 @@
-"""Renders deep frames: a few depth samples per pixel from traced rays, which composite to the frame."""
+"""Renders deep frames: traced rays give each pixel a few depth samples, and the samples composite to the frame."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import Scene
 
 _STEPS = 16
-"""Number of equal steps of transmittance between 1 and 0. Gaussians of one pixel whose transmittance in front falls
-into the same step are merged into one depth sample."""
+"""Number of equal steps between transmittance 1 and 0. Gaussians of one pixel are merged into one depth sample if the
+transmittance in front of them falls into the same step."""
 _RAYS = 16
 """Largest number of rays per pixel. Coverage of a pixel by a mesh's edge is then a multiple of 1/16."""
 _SURFACE_PX = 16.0
-"""Largest difference in depth, in pixel widths at that depth, between two mesh hits of one pixel that count as one
-surface. The value suffices for surfaces tilted up to 86 degrees from facing the camera."""
+"""Two mesh hits of one pixel count as one surface if their depths differ by at most this many pixel widths (at that
+depth). The value suffices for surfaces tilted up to 86 degrees from facing the camera."""
 _ENVIRONMENT_DEPTH = 1e30
 """Depth of an environment, scene units: behind everything, but finite, so that compositors can compute with it."""
 _TINY = float(np.finfo(np.float32).tiny)
 """Smallest normal float32, which replaces smaller divisors: transmittances, sums of radiance and sums of weights."""
 _BAND_RAYS = 2**14
-"""Number of rays that are traced at once, which bounds memory: a frame's pixels are processed part by part (a part is
-called a band)."""
+"""Number of rays that are traced at once, to bound memory. A frame's pixels are processed part by part; such a part is
+called a band."""
 
 
 def render_deep(
@@ -54,17 +54,17 @@ def render_deep(
     *,
     device: str = "auto",
 ) -> DeepFrame:
-    """Renders depth samples of each pixel, between which compositors can insert smoke or people.
+    """Renders depth samples of each pixel. Compositors can insert smoke or people between the samples.
 
     Traces the rays of the frame's samples, up to 16 per pixel with equal weights; Gaussians are widened by the
     pixel's footprint. Hits are sorted by depth. Gaussians within a 16th of the pixel's transmittance form one sample,
     from the first one's depth to the last one's. Mesh hits on one surface form one sample, too.
 
-    All samples composited over each other give the frame: weights are scaled to its alpha pixel by pixel, and its
-    colour is divided among the samples in proportion to the linear colours of their Gaussians and meshes. Where a pixel
-    is covered but no ray hits anything, such as at the edge of a Gaussian that a rasteriser draws a little wider, the
-    pixel gets one sample, at the depth of the frame's surface or first Gaussian. A visible light is a sample with
-    colour and alpha 0. A visible environment is a sample at depth 1e30.
+    Composited over each other, a pixel's samples give the frame: their weights are scaled to the frame's alpha, and the
+    frame's colour is divided among them in proportion to the linear colours of their Gaussians and meshes. A covered
+    pixel whose rays hit nothing gets one sample, at the depth of the frame's surface or first Gaussian. Such pixels lie
+    at edges of Gaussians, which a rasteriser draws a little wider. A visible light is a sample with colour and alpha 0.
+    A visible environment is a sample at depth 1e30.
 
     Args:
         scene: The scene to render.
@@ -108,7 +108,7 @@ class _Target(NamedTuple):
     alpha: Doubles
     """Alpha of each pixel, 0..1."""
     depth: FloatArray
-    """View depth (fisheye: distance) of each pixel's sample if no ray hits anything."""
+    """View depth (fisheye: distance) of the only sample that a pixel gets if no ray hits anything."""
 
     def of(self, pixels: slice) -> _Target:
         """Returns the target colours, alphas and depths of a slice of pixels."""
@@ -125,8 +125,8 @@ class _Layers(NamedTuple):
     weight: FloatArray
     """Compositing weight of each hit on its ray, 0..1."""
     light: FloatArray
-    """Linear radiance that each hit's colour adds to its ray, divided by the number of rays per pixel once the hits of
-    all rays are joined, (hits, 3)."""
+    """Linear radiance that each hit's colour adds to its ray, (hits, 3). Once the hits of all rays are joined, the
+    radiance is divided by the number of rays per pixel."""
     is_mesh: Flags
     """True for hits on a mesh, a light or the environment; False for Gaussians."""
 
@@ -190,7 +190,7 @@ class _DeepTracer:
                 self._area_lights.append(light)
 
     def band(self, pixels: slice, target: _Target, offsets: list[tuple[float, float]]) -> _Samples:
-        """Returns the depth samples of a slice of pixels, from a ray per pixel through each sub-pixel offset, 0..1."""
+        """Returns the depth samples of a slice of pixels. Each pixel has one ray through each of ``offsets``, 0..1."""
         ray_indices = self._ray_indices[pixels]
         target = target.of(pixels)
         found = [self._layers(ray_indices, sample, offset) for sample, offset in enumerate(offsets)]
@@ -249,9 +249,9 @@ class _DeepTracer:
         return _Layers(hit, depth, np.zeros(len(hit), np.float32), radiance, np.ones(len(hit), bool))
 
     def _mesh_layers(self, traced: PixelProfile, transmittance: FloatArray) -> _Layers:
-        """Returns the hits on the meshes at which rays end, weighted by the transmittance in front of each mesh.
+        """Returns the hits of rays on meshes, at which the rays end. Their weight is the transmittance in front.
 
-        ``transmittance`` holds that number for each ray.
+        ``transmittance`` holds the transmittance in front of the mesh for each ray.
         """
         end = np.flatnonzero(np.isfinite(traced.mesh_distance) & (transmittance > 0.0))
         if not len(end):
@@ -294,8 +294,9 @@ class _DeepTracer:
     def _starts(self, layers: _Layers, through: Doubles) -> Rows:
         """Returns the row of the first hit of each depth sample, from hits sorted by pixel and depth.
 
-        ``through`` is the transmittance in front of each hit. A sample ends at the pixel's last hit, where Gaussians
-        change to a mesh or back, at the next of `_STEPS` steps of transmittance, or at the end of a mesh surface.
+        ``through`` is the transmittance in front of each hit. A new sample starts at the pixel's first hit, where
+        Gaussians change to a mesh or back, where transmittance enters the next of `_STEPS` steps, and where a new mesh
+        surface begins.
         """
         is_other = np.diff(layers.pixel, prepend=-1) != 0
         farther = np.diff(layers.depth, prepend=np.float32(0.0))
@@ -319,7 +320,8 @@ def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
     """Returns the radiance that each hit adds to its pixel, shape (hits, 3); each pixel's sum is the target's colour.
 
     Area lights, whose hits have weight 0, add their emitted radiance. The other hits share what remains of the target's
-    colour, channel by channel, in proportion to their radiance, or to their weights where all are black.
+    colour, channel by channel, in proportion to their radiance. If all their radiance is 0, they share in proportion to
+    their weights.
     """
 
     def summed(values: Doubles) -> Doubles:
@@ -370,8 +372,9 @@ def _pixel_ray_indices(width: int, height: int) -> IntArray:
 def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
     """Returns the view depth (fisheye: distance) of each pixel of a frame, row by row.
 
-    It is the depth of the pixel's surface; without a surface, that of the mean of its first Gaussian; without a
-    Gaussian, interpolated between the nearest pixels before and after in row order.
+    A pixel with a surface has the depth of the surface. A pixel with Gaussians but no surface has the depth of the mean
+    of its first Gaussian. An empty pixel has a depth interpolated between the nearest other pixels before and after it
+    in row order.
     """
     forward, is_fisheye = camera.world_from_camera[:3, 2], camera.model is CameraModel.FISHEYE
     distance = np.where(np.isfinite(frame.depth), frame.depth, np.float32(np.nan))

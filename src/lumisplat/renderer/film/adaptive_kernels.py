@@ -14,7 +14,8 @@ from lumisplat.device.structs.camera import FilmData, ListedRays
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 NOISE_RADIUS_PX = 3
-"""Half the side, in pixels, of the square around a pixel (7 x 7 pixels) whose mean noise determines its sampling rate.
+"""A pixel's sampling rate follows from the mean noise of the pixels around it, up to this many pixels away along each
+axis (7 x 7 pixels).
 """
 
 FIRST = wp.constant(NOISE_SAMPLES_MIN)
@@ -49,7 +50,7 @@ def subpixel(sample: int) -> wp.vec2:
 def mark_rays(start: int, sample: int, width: int, height: int, rates: wp.array[int], is_drawn_out: wp.array[int]):
     """Per ray of the full frame: writes 1 if the ray's pixel gets a ray in sample ``sample``, else 0.
 
-    ``rates`` holds in how many of every `SAMPLE_RATES` samples each pixel takes part.
+    ``rates`` holds each pixel's sampling rate: its number of samples among each `SAMPLE_RATES` consecutive ones.
     """
     ray = start + wp.tid()
     is_drawn_out[ray] = 0

@@ -23,8 +23,8 @@ SAMPLE_RATE_MIN = 2
 an eighth of all samples, because the few samples they had may have missed light."""
 
 NOISE_LUMINANCE_MIN = 0.01
-"""Linear luminance after exposure below which noise is measured as an absolute instead of a relative error. At this
-luminance, an error of 2 % is a third of an 8-bit step in display space."""
+"""Noise of pixels below this luminance (linear, after exposure) is measured as an absolute error, of other pixels as a
+relative error. At this luminance, an error of 2 % is a third of an 8-bit step in display space."""
 
 
 class AdaptiveRays:
@@ -45,13 +45,16 @@ class AdaptiveRays:
         return [kernels]
 
     def begin(self, size: tuple[int, int]) -> None:
-        """Starts a frame of ``size`` (width, height); every pixel takes part in every sample until `choose_rates`."""
+        """Starts a frame of ``size`` (width, height).
+
+        Every pixel takes part in every sample until `choose_rates` runs.
+        """
         self._size = size
         self.rates.fill_(SAMPLE_RATES)
 
     @property
     def rates(self) -> DeviceArray:
-        """Sampling rate of each pixel: in how many of every `SAMPLE_RATES` samples the pixel takes part."""
+        """Sampling rate of each pixel: its number of samples among each `SAMPLE_RATES` consecutive samples."""
         return self._buffers.get("film.rates", wp.int32, self._pixel_count)
 
     @property
@@ -129,7 +132,10 @@ def least_luminance(exposure: float, *, is_lit: bool) -> float:
 
 
 def quantile(values: FloatArray, share: float) -> float:
-    """Returns the ``share`` quantile: the smallest value not exceeded by this fraction of the values; NaN if empty."""
+    """Returns the ``share`` quantile: the smallest value such that this fraction of the values is no larger.
+
+    The result is NaN if there are no values.
+    """
     if not values.size:
         return math.nan
     index = math.ceil(share * values.size) - 1

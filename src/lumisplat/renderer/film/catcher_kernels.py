@@ -20,16 +20,15 @@ CATCHER_STEPS = 144
 between pixels one step apart, about the size of a Gaussian, because adjacent pixels show the same Gaussian."""
 
 CATCHER_BLUR = 2.0
-"""Ratio of a shadow ratio's blur to the noise of the captured surface: its standard deviation in pixels is
-``sqrt((2 noise)^2 - 1)``, where the noise is that of the surface's height in pixel sizes. Surfaces with noise below
-half a pixel are not blurred."""
+"""Blur of a shadow ratio per noise of the captured surface's height. The standard deviation of the blur, in pixels, is
+``sqrt((2 noise)^2 - 1)``, with the noise in pixel sizes. Surfaces with noise below half a pixel are not blurred."""
 
 CATCHER_BLUR_STEPS = 2
 """Largest standard deviation of the blur of a shadow ratio, in steps of `CATCHER_STEPS`."""
 
 CATCHER_DEPTHS = 16.0
-"""Standard deviation of the bilateral blur of shadow ratios in depth, as a multiple of the noise of the surface's
-height."""
+"""Standard deviation, along depth, of the weights with which shadow ratios are blurred (bilateral blur), as a multiple
+of the noise of the surface's height."""
 
 STEPS = wp.constant(CATCHER_STEPS)
 BLUR = wp.constant(wp.float32(CATCHER_BLUR))
@@ -65,8 +64,8 @@ def store_ratios(
 ):
     """Writes each pixel's shadow ratio and depth.
 
-    ``depth_out`` is 1 / depth, or the depth itself in orthographic projection, because these are linear over the image
-    of a plane. Special values: 0, the pixel shows Gaussians too thin for a surface; -1, the pixel shows no shadow
+    ``depth_out`` is 1 / depth, or the depth itself in orthographic projection, because this number is linear over the
+    image of a plane. Special values: 0, the pixel shows Gaussians too thin for a surface; -1, the pixel shows no shadow
     catcher.
     """
     pixel = start + wp.tid()
@@ -89,9 +88,10 @@ def depth_at(x: int, y: int, camera: CameraData, depths: wp.array[float]) -> flo
 
 @wp.func
 def per_pixel(value: float, camera: CameraData) -> float:
-    """Returns the factor by which small differences of stored depths become heights in pixel sizes.
+    """Returns the factor that converts small differences of the depths from `store_ratios` to heights in pixel sizes.
 
-    The factor is focal length / ``value`` for a depth stored as 1 / depth near ``value``; see `store_ratios`.
+    The factor holds near the stored depth ``value``. If the depth is stored as 1 / depth, the factor is focal length /
+    ``value``.
     """
     focal = wp.sqrt(camera.focal[0] * camera.focal[1])
     return wp.where(camera.model == ORTHOGRAPHIC, focal, focal / value)
@@ -155,9 +155,9 @@ def sum_depths(
 def find_noise(start: int, camera: wp.array[CameraData], sums: wp.array[wp.vec4], noise_out: wp.array[float]):
     """Per pixel: writes the noise of the captured surface's height, in pixel sizes.
 
-    The noise is averaged over four squares of pixels, diagonally above and below the pixel; the lowest mean counts,
-    because at the edge of a surface at least one square shows that surface alone. It is 0 if no square has enough
-    depths.
+    The noise is averaged in each of four squares of pixels, diagonally above and below the pixel. The lowest mean
+    counts, because at the edge of a surface at least one square shows that surface alone. The noise is 0 if no square
+    has enough depths.
     """
     pixel = start + wp.tid()
     x = pixel % camera[0].width
@@ -179,7 +179,7 @@ def find_noise(start: int, camera: wp.array[CameraData], sums: wp.array[wp.vec4]
 
 @wp.func
 def blur_of(noise: float, stride: int) -> float:
-    """Returns a shadow ratio's blur, a standard deviation in pixels, from the surface's noise; 0 below half a pixel."""
+    """Returns the standard deviation of a shadow ratio's blur, pixels; 0 if surface noise is below half a pixel."""
     wide = BLUR * noise
     return wp.min(wp.sqrt(wp.max(wide * wide - 1.0, 0.0)), float(BLUR_STEPS * stride))
 
@@ -197,8 +197,8 @@ def smooth_ratios(
 ):
     """Blurs shadow ratios along rows or, with ``down``, columns, with weights by distance and depth difference.
 
-    A pixel whose Gaussians are too thin for a surface gets the mean ratio of the surfaces around it, weighted by its
-    alpha.
+    A pixel whose Gaussians are too thin for a surface gets the mean ratio of the surfaces around it, blended with 1 (no
+    shadow) by the pixel's alpha.
     """
     pixel = start + wp.tid()
     ratio_out[pixel] = ratio[pixel]

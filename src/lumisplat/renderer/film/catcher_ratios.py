@@ -34,7 +34,7 @@ class CatcherRatios:
         return self._buffers.get("film.shadow_ratio", wp.vec3, count)
 
     def develop(self, scene: DeviceScene, film: DeviceArray, count: int) -> None:
-        """Computes the shadow ratios from the means of all samples, and the colours of all pixels from the ratios."""
+        """Computes shadow ratios from the means of all samples, and then the colours of all pixels from the ratios."""
         get, run = self._buffers.get, self._launcher.run_banded
         ratio, across = self.ratios(count), get("film.ratio_across", wp.vec3, count)
         measured, rows = (get(f"film.{name}", wp.vec4, count) for name in ("depth_noise_sums", "depth_noise_rows"))

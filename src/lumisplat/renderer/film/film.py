@@ -41,8 +41,8 @@ CATCHER_LAYERS = {
     "captured_ambient": "ambient",
     "captured_open": "open",
 }
-"""Components of the light on shadow catchers: name of the film's image, and of the field of `RayRadiance` whose
-samples the image averages."""
+"""Images of the film for the components of the light on shadow catchers: from the name of the image to the field of
+`RayRadiance` whose samples the image averages."""
 
 
 class Film:
@@ -134,11 +134,14 @@ class Film:
         return self._adaptive.list(sample, jitters=self._plan.jitters)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
-        """Adds the current sample: the camera rays' radiance in ``wave``, and layers by light. CUDA replays a graph."""
+        """Adds the current sample: the radiance of the camera rays ``wave``, and the layers ``lights``.
+
+        CUDA replays a recorded graph.
+        """
         self._launcher.replay("store", (scene.graph_key, wave.count), lambda: self._store(scene, wave, lights))
 
     def noise(self, exposure: float) -> float:
-        """Estimates the relative error below which `NOISE_PIXELS`, a fraction, of the pixels lie.
+        """Estimates the noise of the frame, a relative error: a fraction `NOISE_PIXELS` of all pixels has less.
 
         Args:
             exposure: Exposure of the camera, stops; dark pixels count as less noisy.
@@ -180,7 +183,7 @@ class Film:
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
 
     def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool, encodes: bool) -> dict[str, Any]:
-        """Returns the images of an unlit frame rasterised to ``pixels`` without the film, by field name of `Frame`."""
+        """Returns the images of an unlit frame that was rasterised directly to ``pixels``, by field name of `Frame`."""
         encode = partial(encoded_pixels, self._launcher, self._buffers, pixels, transparent=transparent)
         return self._copied(pixels, {}, encode, transparent=transparent, encodes=encodes)[1]
 
@@ -308,7 +311,7 @@ class Film:
     ) -> tuple[Copies, dict[str, Any]]:
         """Copies pixels and other arrays; returns the copies, and functions or arrays for the pixels' images.
 
-        An 8-bit image is added on CUDA, or if ``encodes``.
+        The images include an 8-bit image on CUDA always, on the CPU if ``encodes``.
         """
         arrays = {"pixels": pixels.block} | arrays
         encodes = encodes or self._buffers.downloads.is_lazy
@@ -373,7 +376,7 @@ class Film:
 
     @property
     def _adds_captured(self) -> bool:
-        """True if captured colours, or what lights change about them, must still be added to the emission layer."""
+        """True if the emission layer still lacks captured colours, or the amount by which lights change them."""
         return "emission" in self._plan.aovs and (self._plan.traces_paths or self._plan.has_shadow_catchers)
 
     def _image(self, name: str) -> DeviceArray:
@@ -440,7 +443,7 @@ def _images_of_frame(frame: Frame) -> dict[str, npt.NDArray[Any]]:
 
 
 def _images_of_part(part: SamplePart) -> dict[str, npt.NDArray[Any]]:
-    """Returns the film's images for a part of a frame: the part's depths, normals and indices; colours are 0.
+    """Returns the film's images for a part of a frame: depths, normals and indices of the part; colours are 0.
 
     Colours are computed from the part's sums afterwards.
     """

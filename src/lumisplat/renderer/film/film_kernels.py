@@ -47,7 +47,7 @@ def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
 
 @wp.func
 def begins_frame(scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
-    """Returns whether the current sample is the first of the frame, or of the range of samples that is rendered."""
+    """Returns whether the current sample is the first to be rendered of the frame, or of this process's part of it."""
     return film[0].in_sequence == 1 or scene[0].sample[0].index == film[0].first_sample
 
 
@@ -95,7 +95,7 @@ def add_samples(
 
 @wp.kernel
 def restore_sums(start: int, film_inout: wp.array[FilmData]):
-    """Per pixel: computes the sums of a frame with one sample, which has none, from its images."""
+    """Per pixel: computes sums from the images of a frame with one sample. Such a frame has no sums of its own."""
     pixel = start + wp.tid()
     if film_inout[0].count[pixel] == 1:
         add_to_sums(pixel, sample_of_pixel(pixel, film_inout), film_inout)
@@ -136,7 +136,7 @@ def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.arr
 
 @wp.kernel
 def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_out: wp.array[float]):
-    """Per pixel: writes the standard error of the mean, divided by the mean's luminance (``least`` if darker)."""
+    """Per pixel: writes the standard error of the mean, divided by the mean's luminance or, if larger, by ``least``."""
     pixel = start + wp.tid()
     errors_out[pixel] = wp.inf
     if film[0].count[pixel] >= 2:

@@ -35,7 +35,10 @@ def encoded_lit_pixels(
     lit: PixelBuffers[LitPixels],
     display: ToneMapData,
 ) -> DeviceArray:
-    """Encodes a lit frame in the format of `encoded_pixels`. Bytes equal the host's, except where they round a half."""
+    """Encodes a lit frame in the format of `encoded_pixels`.
+
+    The bytes equal the host's, except where a value lies halfway between two bytes.
+    """
     picture = _empty_picture(buffers, pixels)
     inputs = display, pixels.data, lit.data, picture
     launcher.run_banded(picture_kernels.encode_lit_pixels, len(picture) - 1, *inputs)

@@ -62,7 +62,10 @@ def encode_lit_pixels(
 def store_ray_colors(
     start: int, width: int, height: int, background: wp.vec3, hits: GaussianHits, pixels_out: PixelData
 ):
-    """Per ray: writes the ray's colour over the background, and its alpha, to its pixel; other images are unchanged."""
+    """Per ray: writes the ray's colour over the background, and the ray's alpha, to its pixel.
+
+    Other images are unchanged.
+    """
     ray = start + wp.tid()
     at = pixel_of_ray(width, ray)
     if at[0] < width and at[1] < height:

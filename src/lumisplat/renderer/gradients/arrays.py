@@ -62,12 +62,12 @@ class SplatGradients:
     scene, instance by instance. Shape (0, 2) with ``Pipeline.TRACE`` and ``Projection.UNSCENTED``, which have no 2D
     splats."""
     centers_absolute: FloatArray
-    """Sums over pixels of the absolute gradients with respect to the splat centres, through colour and alpha, shape
-    (N, 2) for all N Gaussians of the scene (AbsGS, Ye et al. 2024). Shape (0, 2) if the shape of ``centers`` is (0, 2).
+    """Like ``centers``, through colour and alpha only, but each pixel's gradient is made absolute before the sum over
+    pixels (AbsGS, Ye et al. 2024); shape (N, 2) for all N Gaussians of the scene. Shape (0, 2) if the shape of
+    ``centers`` is (0, 2).
     """
     weights: FloatArray
-    """Sum over the pixels of each Gaussian's blending weight (alpha times transmittance), one per Gaussian of the
-    scene."""
+    """Blending weight (alpha times transmittance) of each Gaussian of the scene, summed over the pixels."""
     features: FloatArray | None = None
     """Gradients with respect to the C rendered features of all N Gaussians of the scene, shape (N, C); None if not
     requested."""
@@ -80,8 +80,7 @@ class RayGradients:
     sets: tuple[SetGradient, ...]
     """Gradients of the distinct Gaussian sets, ordered as in `SplatGradients`."""
     weights: FloatArray
-    """Sum over the rays of each Gaussian's blending weight (alpha times transmittance), one per Gaussian of the scene.
-    """
+    """Blending weight (alpha times transmittance) of each Gaussian of the scene, summed over the rays."""
 
 
 def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
@@ -161,5 +160,5 @@ def host_values(array: wp.array[Any]) -> FloatArray:
 
 
 def by_background(by_color: FloatArray, transmittance: FloatArray) -> Doubles:
-    """Returns the gradient with respect to the background colour, from gradients at pixels and pixel transmittances."""
+    """Returns the gradient with respect to the background colour, from the pixels' gradients and transmittances."""
     return np.asarray(transmittance.reshape(-1).astype(np.float64) @ by_color.reshape(-1, 3), np.float64)

@@ -258,7 +258,7 @@ class DifferentiableRenderer(Renderer):
         return self._hits
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
-        """Syncs the scene for a caller's rays. They replace the last frame, which then has no gradients any more."""
+        """Syncs the scene for a caller's rays. The last frame is dropped: it has no gradients any more."""
         self._forget()
         return super()._sync_rays(scene, camera)
 
@@ -268,7 +268,7 @@ class DifferentiableRenderer(Renderer):
     def _given(
         self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None
     ) -> tuple[FloatArray, PixelGradient]:
-        """Checks a caller's gradients at pixels; returns those of colours, and the device's copy of all."""
+        """Checks a caller's gradients at pixels; returns the gradients of colours, and all gradients on the device."""
         by_color = given_array("dL_dcolor", dL_dcolor, (*shape, 3))
         by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else given_array("dL_dalpha", dL_dalpha, shape)
         gradient = PixelGradient()
@@ -289,7 +289,7 @@ class DifferentiableRenderer(Renderer):
     def _by_features(
         self, drawn: DrawnSplats, dL_dfeatures: npt.ArrayLike, shape: tuple[int, int], by_splat: DeviceArray
     ) -> FloatArray:
-        """Returns gradients with respect to features; adds the resulting gradients of splat shapes to ``by_splat``."""
+        """Returns gradients with respect to features; adds their effect on splat shape gradients to ``by_splat``."""
         if self._rendered_features is None:
             raise ConfigError("gradients: call render_features for this frame before passing dL_dfeatures")
         count = self._rendered_features.count
@@ -323,7 +323,7 @@ def splat_gradients(
         gradients.sets[0].means  # of the first Gaussian set, shape (N, 3)
 
     The frame is unlit. A Gaussian is cut off where its alpha falls below 1/255. As in gsplat, the gradients ignore that
-    this edge moves with opacities and scales. Finite differences include the movement, which is some percent of the
+    this edge moves with opacities and scales. Finite differences include the movement; it makes up some percent of the
     derivative.
 
     Args:
@@ -404,7 +404,7 @@ def _checked(config: RenderConfig) -> RenderConfig:
 
 
 def _visible(splats: npt.NDArray[np.void], drawn: DrawnSplats) -> npt.NDArray[np.void]:
-    """Returns the splat gradients with zeros for splats that cover no tile, whose gradients are undefined."""
+    """Returns the splat gradients. Splats that cover no tile have undefined gradients; these are replaced by 0."""
     rects = drawn.splats.rects.numpy()
     splats = splats.copy()
     splats[rects["x0"] >= rects["x1"]] = np.zeros(1, splats.dtype)

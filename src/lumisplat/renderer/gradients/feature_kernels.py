@@ -78,7 +78,7 @@ def add_gradients(
     splats_inout: wp.array[SplatGradient],
     features_out: wp.array2d[float],
 ):
-    """Per splat: stores the gradients of three features, and adds the gradients of splat shapes that they cause.
+    """Per splat: stores the gradients of three features, and adds their effect on the gradients of the splat's shape.
 
     The backward pass's blending weights and absolute centre gradients are dropped, because only the pass over colours
     may count them.

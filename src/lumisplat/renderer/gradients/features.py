@@ -33,7 +33,7 @@ from lumisplat.scene.scene import Scene, SplatInstance
 
 @dataclass(frozen=True, slots=True)
 class RenderedFeatures:
-    """Features of Gaussians that were blended over the pixels of a frame, C features each."""
+    """Features of Gaussians, C each, after blending over the pixels of a frame."""
 
     of_splats: DeviceArray
     """C features of each of N splats, shape (N, C)."""
@@ -91,7 +91,7 @@ class FeatureChannels:
         by_pixels: FloatArray | DeviceArray,
         by_splat: DeviceArray,
     ) -> DeviceArray:
-        """Returns the gradients with respect to C features of N Gaussians, (N, C); also adds to ``by_splat``.
+        """Returns gradients with respect to C features of N Gaussians, (N, C); also adds gradients to ``by_splat``.
 
         Args:
             scene: As for ``render``.
@@ -167,7 +167,7 @@ class SurfaceFeatures:
         return cls(scene, camera, values.astype(np.float32))
 
     def backward(self, gradients: SplatGradients, first: int = 0) -> SplatGradients:
-        """Adds the gradients that flow through depths and normals to means, rotations and the camera pose.
+        """Adds the gradients of means, rotations and camera pose that the gradients of depths and normals cause.
 
         Depths depend on means and pose, normals on rotations. Where a normal flips or another axis becomes the
         shortest, the normal jumps, and the jump has no gradient.

@@ -48,7 +48,8 @@ def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Do
 def pose_of_rays_gradient(motions: DeviceArray, instances: Sequence[SplatInstance], camera: Camera) -> Doubles:
     """Returns the gradient of the upper rows of ``camera_from_world``, (3, 4), from gradients of rigid ray motions.
 
-    It is restricted to rigid motions: the rays move with their camera (docs/method/gradients.md#pose-of-rays).
+    The gradient is restricted to rigid motions: the rays move with their camera
+    (docs/method/gradients.md#pose-of-rays).
 
     Args:
         motions: Gradients with respect to rigid motions of the rays, one ``RayMotion`` for each Gaussian of the scene.

@@ -1,4 +1,4 @@
-"""Backward pass of ray tracing, from gradients at rays to gradients of the Gaussians that they hit."""
+"""Backward pass of ray tracing, from gradients at rays to gradients of the Gaussians that the rays hit."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 BACKWARD_HITS = 2**22
-"""Largest number of hits whose gradients are on the device at once, 44 bytes each, together 180 MiB. A single packet
-of rays may exceed it."""
+"""Largest number of hits whose gradients are on the device at once, 44 bytes each, together 180 MiB. The hits of a
+single packet of rays may exceed this number."""
 
 Struct = TypeVar("Struct")
 
@@ -55,12 +55,12 @@ class RaySums:
     gaussians: list[GaussianGradient]
     """Gradients with respect to the parameters of the Gaussians, one struct of arrays for each Gaussian set."""
     weights: DeviceArray
-    """Sum over rays of the blending weight of each Gaussian of the scene, instance by instance."""
+    """Blending weight of each Gaussian of the scene, summed over rays; Gaussians are listed instance by instance."""
     largest: DeviceArray
-    """Largest blending weight over rays of each Gaussian of the scene, instance by instance."""
+    """Largest blending weight of each Gaussian of the scene on any ray; Gaussians are listed instance by instance."""
     motions: DeviceArray
-    """For each Gaussian of the scene, the gradient (``RayMotion``) with respect to rigid motions of the rays that hit
-    it."""
+    """Gradients (``RayMotion``) with respect to rigid motions of rays. Each Gaussian of the scene has one, for the
+    rays that hit the Gaussian."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class _Rays:
 
 @dataclass(frozen=True, slots=True)
 class TracedFrame:
-    """Inputs and primary hits of a traced frame with one ray a pixel, which its backward pass needs."""
+    """Inputs of the backward pass of a traced frame with one ray a pixel: the frame's inputs and primary hits."""
 
     scene: Scene
     camera: Camera
@@ -114,7 +114,7 @@ class UpstreamGradient:
 
 
 class RayBackward:
-    """Computes gradients of the loss with respect to Gaussians from its gradients at rays.
+    """Computes gradients of the loss with respect to Gaussians from the loss's gradients at rays.
 
     Args:
         launcher: Runs the kernels.

@@ -119,8 +119,8 @@ def gather_gaussians(
 ):
     """Per Gaussian of an asset: sums the gradients of the Gaussian's hits over all instances of the asset.
 
-    Consecutive hits of rays from one eye have one colour, so their colour gradients are summed before the SH backward
-    pass.
+    All rays from one eye see a Gaussian in the same colour. The colour gradients of consecutive hits by such rays are
+    therefore summed before the SH backward pass.
     """
     i = start + wp.tid()
     view = settings[0]

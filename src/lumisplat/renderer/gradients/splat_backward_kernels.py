@@ -122,7 +122,7 @@ def write_sh(
     is_added: bool,
     gaussians_out: GaussianGradient,
 ):
-    """Writes the gradients of one Gaussian's SH coefficients or, if ``is_added``, adds them to those there."""
+    """Writes the gradients of one Gaussian's SH coefficients or, if ``is_added``, adds them to the stored gradients."""
     used = (degree + 1) * (degree + 1)
     for k in range(SH_COEFFICIENTS):  # unrolled, so that the basis stays in registers
         if k < sh_count:

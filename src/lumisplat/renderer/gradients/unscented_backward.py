@@ -134,7 +134,7 @@ class UnscentedBackward:
         return out
 
     def motions(self, drawn: DrawnRaySplats) -> DeviceArray:
-        """Returns each Gaussian's gradient (``RayMotion``) with respect to rigid motions of the rays that hit it.
+        """Returns gradients (``RayMotion``), one per Gaussian, with respect to rigid motions of the rays that hit it.
 
         The result is valid after ``gaussians`` has run for all assets.
 

@@ -1,8 +1,8 @@
-"""Path tracing, bounce by bounce: a wave is one ray each of all paths that are still alive. One thread per ray.
+"""Path tracing, bounce by bounce: a wave has one ray of each path that is still alive. One thread per ray.
 
-``add_hit_radiance`` adds the emitted radiance at the rays' hits and the environment radiance behind. ``continue_paths``
-samples a light and the next direction. ``add_sampled_light`` runs after the shadow rays, and ``spawn_paths`` starts the
-rays of the next wave. The equations are in docs/method/paths.md.
+``add_hit_radiance`` adds the emitted radiance at the rays' hits and the environment radiance behind the hits.
+``continue_paths`` samples a light and the next direction. ``add_sampled_light`` runs after the shadow rays, and
+``spawn_paths`` starts the rays of the next wave. The equations are in docs/method/paths.md.
 """
 
 import warp as wp
@@ -52,14 +52,14 @@ wp.set_module_options(SHADE_OPTIONS)
 # Branch numbers of a ray's random key. The next ray has 0; device/light/direct_light.py and
 # device/path/contributions.py use further numbers.
 DIRECTION_BRANCH = wp.constant(6)
-"""Number by which the random key of the direction in which a path continues is derived from its ray's key."""
+"""Number that derives a random key from a ray's key: the key for the direction in which the ray's path continues."""
 SURFACE_BRANCH = wp.constant(7)
-"""Number by which the random key of the choice of surface and BSDF lobe for a path's next ray is derived from its
-ray's key."""
+"""Number that derives a random key from a ray's key: the key for the choice of the surface and the BSDF lobe from
+which the path's next ray starts."""
 ROULETTE_BRANCH = wp.constant(8)
 AMBIENT_BRANCH = wp.constant(9)
-"""Number by which the random key of ambient shadow rays from shadow catchers, which stochastic shadows of Gaussians
-use, is derived from the ray's key."""
+"""Number that derives a random key from a ray's key: the key of an ambient shadow ray from a shadow catcher, for
+stochastic shadows of Gaussians."""
 
 
 @wp.kernel
@@ -80,9 +80,9 @@ def begin_paths(start: int, paths_out: wp.array[PathData]):
 
 @wp.kernel
 def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathData], ends_out: wp.array[float]):
-    """Per ray: writes how far `RayTracer.find_captured` traces it: infinitely if it leaves a shadow catcher, else -1.
+    """Per ray: writes the distance at which its trace by `RayTracer.find_captured` ends.
 
-    -1 means that the ray is not traced.
+    The distance is infinite for rays that leave shadow catchers. It is -1 for other rays, which are not traced.
     """
     i = start + wp.tid()
     ends_out[i] = -1.0
@@ -106,7 +106,7 @@ def start_ambient_rays(
     rays_out: RayData,
     skips_out: wp.array[wp.bool],
 ):
-    """Starts a shadow ray along each path's ray that leaves a shadow catcher which ambient light reaches."""
+    """Per ray that leaves a shadow catcher: starts a shadow ray along it if ambient light reaches the catcher."""
     i = start + wp.tid()
     skips_out[i] = True
     rays_out.is_active[i] = False
@@ -123,7 +123,7 @@ def add_ambient_visibility(
     paths: wp.array[PathData],
     images_inout: wp.array[PathImages],
 ):
-    """Stores the ambient irradiance on each shadow catcher times the traced visibility past added objects."""
+    """Stores, for each shadow catcher, its ambient irradiance times the visibility found by rays past added objects."""
     i = start + wp.tid()
     if rays.is_active[i]:
         root = paths[0].root[i]
