@@ -35,12 +35,13 @@ def same(work: Workspace, name: str, camera: ls.Camera) -> bool:
 
 
 def test_render_camera_path_moves_between_cameras_of_a_file(work) -> None:
-    """The camera moves from one camera of the file to the next in a second, at ``--fps`` frames a second."""
-    outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
+    """The camera moves from one camera of the file to the next in a second, at 24 frames a second."""
+    frames = ("--frames", "0-48x12")
+    outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", *frames, "-o", "@out", *SIZE)
     assert outcome.status == 0 and "5 images" in outcome.out
     camera_path = ls.io.load_camera_path(work.path("way.json"))
     for k in range(5):
-        assert same(work, f"out/frame_{k:05d}.png", camera_path.at(k / 2))
+        assert same(work, f"out/frame_{12 * k:05d}.png", camera_path.at(k / 2))
 
 
 def test_orbit_camera_path_is_stretched_to_the_duration_of_the_video(work) -> None:
@@ -82,7 +83,7 @@ def test_render_cameras_accepts_a_camera_path_of_nerfstudio(work) -> None:
     [
         (("--cameras", "@cameras.json"), "--camera-path and --cameras are both given"),
         (("--azimuth", "3"), "--camera-path and a viewpoint of your own are both given"),
-        (("--fps", "0"), "fps is 0"),
+        (("--fps", "2"), "--fps is no option of lumisplat render, but of orbit"),
     ],
 )
 def test_render_camera_path_excludes_other_camera_options(work, options, message) -> None:

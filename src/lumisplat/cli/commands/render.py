@@ -48,6 +48,8 @@ from lumisplat.cli.output.images import (
 _log = logging.getLogger("lumisplat")
 
 _STAMP = "render.json"
+_PATH_FPS = 24.0
+"""Frame rate of images along a camera path; ``orbit --camera-path`` has other rates."""
 _NUMBERS = re.compile(r"[\d:x\s-]+")
 _NOT_IN_PROVENANCE = ("output", "resume", "overwrite", "frames", "tiles", "debug", "stats", "device", "changes")
 """Options that do not change the content of an image, or that render.json stores in another form, such as --set."""
@@ -80,8 +82,6 @@ class Render(ViewsCommand, FrameCommand):
     """Render an image for each camera of this file."""
     frames: Annotated[str, setting("LIST", "all")] = ""
     """Render only these images, by name, or number from 0: 1-100, 1-100x2 (every second), 1,5,9."""
-    fps: Annotated[float, arg(metavar="FPS", help_behavior_hint="(default: 24)")] = 24.0
-    """Render FPS frames per second along a camera path."""
     format: Annotated[Literal["auto", "png", "exr", "npz"], arg(metavar="FORMAT")] = "auto"
     """Write png, exr or npz; auto follows the output's name."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
@@ -263,8 +263,7 @@ class Render(ViewsCommand, FrameCommand):
         make_folder(shots[0].path.parent)
         with suppress(OSError):
             (shots[0].path.parent / _STAMP).unlink()  # the stamp no longer describes the images
-        fewer = "--frames" if self.camera_path is None else "--frames, --fps"
-        progress = FrameProgress(report, "rendering", len(shots), fewer)
+        progress = FrameProgress(report, "rendering", len(shots), "--frames")
         frame: ls.Frame | None = None
         for shot in shots:
             frame = job.source.frame(job.scene, shot.camera, report)
@@ -325,7 +324,7 @@ class Render(ViewsCommand, FrameCommand):
             if self.cameras is None and not self.viewpoint.is_given:
                 warn_of_unused_cameras(self.scene)
             return self.load_cameras(self.cameras, file)
-        along = self.load_camera_path(self.camera_path, self.cameras).frames(self.fps)
+        along = self.load_camera_path(self.camera_path, self.cameras).frames(_PATH_FPS)
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
