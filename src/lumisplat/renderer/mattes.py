@@ -34,8 +34,8 @@ def render_mattes(scene: Scene, camera: Camera, config: RenderConfig | None = No
     Args:
         scene: The scene to render.
         camera: The camera. Mattes are sharp: its aperture is ignored.
-        config: Settings of the frame that the mattes are for. Visibility is rasterised or, for ``Pipeline.TRACE`` and
-            ``PATH``, traced, as in that frame. None: the defaults.
+        config: Settings of the frame that the mattes are for. As in that frame, visibility is traced for
+            ``Pipeline.TRACE`` and ``PATH``, else rasterised. None: the defaults.
         device: As for ``create_renderer``.
 
     Raises:

@@ -19,8 +19,8 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 WARM_UP_FRAMES = 32
-"""Default number of frames in a still real-time sequence, of which only the last frame is returned. Its direct light
-is the mean of up to as many frames.
+"""Default number of frames in a still real-time sequence. Only the last frame is returned; its direct light is the
+mean of up to as many frames.
 """
 
 
@@ -34,7 +34,8 @@ def render(
 ) -> Frame:
     """Renders one frame. For several frames, ``create_renderer`` is faster: it reuses kernels, buffers and assets.
 
-    With ``Pipeline.REALTIME``, the result is the last frame of a still sequence, over which its lighting converges.
+    With ``Pipeline.REALTIME``, the result is the last frame of a still sequence; the lighting converges over the
+    sequence.
 
     Args:
         scene: The scene to render.

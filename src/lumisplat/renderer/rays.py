@@ -40,8 +40,8 @@ RAY_BATCH = 2**20
 _INPUTS = {"origins": wp.vec3, "directions": wp.vec3, "ends": wp.float32, "starts": wp.float32}
 
 PROFILE_ROWS = 2**22
-"""Largest number of hits of a ray query that are listed on the device at once, 64 MiB. A single packet of rays, which
-must be traced together, may exceed it."""
+"""Largest number of hits of a ray query that are listed on the device at once, 64 MiB. A single packet of rays may
+exceed this number, because its rays must be traced together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +106,8 @@ class RayHits:
     normal: FloatArray
     """World-space unit normal at the surface of each of N rays, facing the ray's origin, (N, 3); zero: no hit."""
     gaussian_index: IntArray
-    """Index within its instance of the Gaussian at the surface of each of N rays, (N,); -1: none."""
+    """Index of the Gaussian at the surface of each of N rays, counted within the Gaussian's instance, (N,); -1: none.
+    """
     instance_index: IntArray
     """Index of the instance at the surface of each of N rays, (N,): splat instances in scene order, then mesh
     instances; -1: none."""
@@ -173,7 +174,7 @@ def batches(*arrays: FloatArray) -> Iterator[tuple[int, list[FloatArray]]]:
 
 
 def whole_packets(count: int) -> int:
-    """Rounds a number of rays up to a multiple of a packet's size (rays that are traced together)."""
+    """Rounds a number of rays up to whole packets (groups of rays that are traced together)."""
     return -(-count // PACKET_RAYS) * PACKET_RAYS
 
 
@@ -286,9 +287,9 @@ class RayQueries:
             plan: Plan of the scene.
             origins: Ray origins, local to the device scene, shape (N, 3).
             directions: Unit ray directions, shape (N, 3).
-            offsets: For rays that leave Gaussians: distance along each ray, shape (N,), before which the peaks of
-                Gaussians are ignored, so that a surface does not hide itself; Gaussians smaller than the surface's
-                count earlier. None: no Gaussian is ignored.
+            offsets: For rays that leave Gaussians: a distance along each ray, shape (N,). Gaussians whose peaks are
+                nearer are ignored, so that a surface does not hide itself. For Gaussians smaller than those of the
+                surface, the distance is shorter. None: no Gaussian is ignored.
             ends: Distance at which each ray ends, shape (N,); None: rays do not end.
         """
         parts: list[dict[str, npt.NDArray[Any]]] = []
@@ -376,7 +377,7 @@ class RayQueries:
 
 
 def _starts(origins: FloatArray, offsets: FloatArray | None) -> FloatArray:
-    """Returns the distance on each of N rays before which Gaussians are ignored, (N,): ``offsets``, or 0 for None."""
+    """Returns ``offsets``, (N,), or zeros for None: on each of N rays, Gaussians nearer than this are ignored."""
     return np.zeros(len(origins), np.float32) if offsets is None else offsets
 
 
@@ -501,7 +502,7 @@ class RayProfiles:
     def _profile_of(
         self, scene: DeviceScene, user_scene: Scene, counts: IntArray, start: Callable[[slice], RayData]
     ) -> RayProfile:
-        """Returns the profile of rays with known numbers of hits, ``counts``; ``start`` makes a slice of rays again."""
+        """Returns the profile of rays with known numbers of hits, ``counts``; ``start`` makes a slice's rays again."""
         first = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         parts = [
             self._rows(scene, start(slice(begin, end)), first[begin : end + 1] - first[begin])

@@ -470,7 +470,7 @@ class Renderer:
     def leaving_transmittance(
         self, scene: Scene, origins: FloatArray, directions: FloatArray, distances: FloatArray, offsets: FloatArray
     ) -> FloatArray:
-        """Returns the transmittance up to ``distances`` of rays that leave Gaussians; see `RayQueries.query`."""
+        """Returns the transmittance, up to ``distances``, of rays that leave Gaussians; see `RayQueries.query`."""
         plan = self._sync_rays(scene)
         self._load([*self._scene.modules(plan), *self._queries.transmittance_modules()])
         return self._queries.transmittance(self._scene, self._local(origins), directions, distances, offsets)

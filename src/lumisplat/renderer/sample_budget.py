@@ -57,7 +57,7 @@ class SampleBudget:
         return ", ".join(parts if self.noise is None else [*parts, f"noise {self.noise:.3f}"])
 
     def close(self) -> str | None:
-        """Makes a rough noise estimate if there are few samples; returns a warning if it is above the noise level."""
+        """Makes a rough noise estimate if there are few samples; returns a warning if it exceeds the noise level."""
         is_rough = self.done < NOISE_SAMPLES_MIN
         if self._estimate is not None and is_rough and self.done > 1:
             self.noise = self._estimate()

@@ -281,7 +281,7 @@ def continue_paths(
         wave: The wave.
         paths: The paths of the wave.
         shadows_inout: Receives shadow rays to the lights.
-        images_inout: Images of the frame; marks paths that measure the irradiance of shadow catchers.
+        images_inout: Images of the frame; the kernel marks the paths that measure the irradiance of shadow catchers.
         steps_out: Receives the next rays of the paths.
     """
     i = start + wp.tid()

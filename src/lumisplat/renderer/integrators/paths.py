@@ -189,7 +189,7 @@ class PathIntegrator:
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
 
     def _row(self, name: str, struct: type[Struct], arrays: Struct) -> DeviceArray:
-        """Returns a struct of path arrays as a table with one row; passed by value, each thread would copy the struct.
+        """Returns a struct of path arrays as a table with one row. Each thread would copy a struct passed by value.
 
         Rays after successive bounces alternate between two sets of arrays with fixed names, so that a recorded CUDA
         graph uploads no row.

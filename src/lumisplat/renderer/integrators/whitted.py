@@ -78,7 +78,7 @@ class WhittedIntegrator:
         )
 
     def _next_wave(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sizes: list[int]) -> RayWave:
-        """Returns the reflected and refracted rays that branch off ``wave``'s, with emission and direct light.
+        """Returns the reflected and refracted rays that branch off ``wave``, with their emission and direct light.
 
         Args:
             scene: The device scene.

@@ -42,7 +42,7 @@ class DirectLight:
         self._shadows.begin_sample(sample)
 
     def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds to the radiance of rays, ``wave``, the light that the surfaces they hit reflect from all lights."""
+        """Adds the direct light of all lights, reflected by the surfaces that rays hit, to the radiance in ``wave``."""
         # Shadow catchers darken by the blocked fraction of all light, so they need unshadowed lights, too.
         one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_catchers)
         if plan.has_unshadowed and not one_by_one:
@@ -69,7 +69,7 @@ class DirectLight:
         return wave.is_primary and "lights" in plan.aovs
 
     def _add_unshadowed(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds all lights without shadows in one pass; if the frame has no shadows, these are all lights."""
+        """Adds in one pass the lights that cast no shadows; in a frame without shadows, these are all lights."""
         no_shadows = not plan.casts_shadows
         lights = [light for light in scene.lights.lights if no_shadows or not light.casts_shadow]
         analytic = sum(not isinstance(light, LightEnvironment) for light in lights) + scene.lights.has_headlight
@@ -140,7 +140,7 @@ class DirectLight:
         return self._buffers.get(f"light.caught{number}", wp.vec3, 2 * wave.count)
 
     def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: CatcherIrradiance) -> None:
-        """Traces ambient shadow rays from shadow catchers, and adds the unoccluded fraction of each to ``arrivals``."""
+        """Traces ambient shadow rays from shadow catchers, and adds each ray's unoccluded fraction to ``arrivals``."""
         rays, media = self._shadow_rays(wave), self._media(plan, wave)
         for number in range(plan.ambient_rays):
             inputs = number, scene.shading, wave.data, rays, media

@@ -28,8 +28,8 @@ from lumisplat.device.structs.shading import CatcherIrradiance, CatcherLight, Co
 wp.set_module_options(SHADE_OPTIONS)
 
 AMBIENT_BRANCH = wp.constant(1 << 21)
-"""First number by which ambient rays derive their random keys from a ray's; lights and specular lobes use lower
-numbers."""
+"""Lowest of the numbers that derive the random keys of ambient rays from a ray's key. Lights and specular lobes use
+lower numbers."""
 
 
 @wp.kernel
@@ -84,7 +84,7 @@ def add_light(
     """Adds one light's contributions to the radiance of rays, times ``visibility`` if ``shadowed``.
 
     ``direct_inout`` and ``arrived_inout`` are images of the light without and with shadows; ``catcher_light_inout`` is
-    the light's irradiance on shadow catchers. They are empty if the frame does not need them.
+    the light's irradiance on shadow catchers. Each of the three is empty if the frame does not need it.
     """
     i = start + wp.tid()
     stride = contributions.shape[0] // 2
@@ -142,7 +142,7 @@ def spawn_ambient_rays(
 
 @wp.kernel
 def add_ambient_visibility(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: CatcherIrradiance):
-    """Per ray: adds the visibility of its ambient shadow ray to the sum at the shadow catcher that the ray hits."""
+    """Per ray that hits a shadow catcher: adds the visibility of the ray's ambient shadow ray to the catcher's sum."""
     i = start + wp.tid()
     if rays.is_active[i]:
         arrivals_inout.open[i] += visibility[i]
@@ -165,7 +165,7 @@ def darken_captured(
         start: Offset added to the thread index.
         ambient_rays: Number of ambient shadow rays per item; 0: ambient light is not blocked.
         scene: The scene.
-        arrivals_inout: Irradiance on the catchers without and with shadows; receives their reflectance.
+        arrivals_inout: Irradiance on the catchers without and with shadows; receives the catchers' reflectance.
         wave_inout: The wave.
     """
     i = start + wp.tid()

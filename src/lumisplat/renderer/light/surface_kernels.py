@@ -37,11 +37,10 @@ from lumisplat.device.structs.shading import (
 )
 
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
-"""Weight of a reflected or refracted ray in its pixel below which the ray is not traced: half a step of an 8-bit
-image."""
+"""Smallest weight in its pixel with which a reflected or refracted ray is traced: half a step of an 8-bit image."""
 
 LIT_WEIGHT_MIN = 1.0 / 512.0
-"""Transmittance in front of a mesh below which the mesh is not lit: half a step of an 8-bit image. Opaque captures
+"""Smallest transmittance in front of a mesh with which the mesh is lit: half a step of an 8-bit image. Opaque captures
 transmit up to 1 %."""
 
 wp.set_module_options(SHADE_OPTIONS)
@@ -60,7 +59,7 @@ def untraced_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.v
 
 @wp.func
 def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Returns whether this pass adds environment radiance to ray ``i``; for rays of paths a later kernel does."""
+    """Returns whether this pass adds environment radiance to ray ``i``; for rays of paths, a later kernel adds it."""
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_NOTHING
     return wave[0].traces_paths == 0 and sees_environment(i, wave)
@@ -70,7 +69,7 @@ def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[Wave
 def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.array[WaveData]) -> wp.vec2i:
     """Returns whether ray ``i``'s reflected ray and refracted ray are worth tracing, 0 or 1 each.
 
-    They are not if their weight in the pixel is below `BOUNCE_WEIGHT_MIN`.
+    A ray is worth tracing if its weight in the pixel is at least `BOUNCE_WEIGHT_MIN`.
     """
     if wave[0].may_branch == 0:
         return wp.vec2i(0, 0)
@@ -146,7 +145,7 @@ def store_layers(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ):
-    """Adds up albedo and emission of the surfaces on ray ``i``, and writes both to the layers of these names."""
+    """Writes the albedo and the emission, each summed over the surfaces on ray ``i``, to the layers of these names."""
     albedo = surface.share * surface.albedo
     emission = wp.vec3(0.0)
     shows_captured = surface.captured_share > 0.0
@@ -205,7 +204,8 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
 def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     """Writes the radiance of lit ray ``i`` without direct light, and its interactions.
 
-    The radiance is the sum of captured colours, emission, and that of reflected and refracted rays that are not traced.
+    The radiance is the sum of captured colours, emission, and the radiance assumed for reflected and refracted rays
+    that are not traced.
     """
     over_light = is_over_light(i, scene, wave)
     surface = splat_surface(i, over_light, scene, wave)

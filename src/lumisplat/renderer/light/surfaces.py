@@ -46,7 +46,7 @@ class Surfaces:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._unentered: DeviceArray
-        """Flag for each mesh instance: 1 if a ray left its inside without having entered. Set only in scenes with
+        """Flag for each mesh instance: 1 if a ray left the mesh without having entered it. Set only in scenes with
         media."""
 
     @staticmethod
@@ -66,7 +66,7 @@ class Surfaces:
         on_paths: bool = True,
         table: str | None = None,
     ) -> RayWave:
-        """Returns a wave: rays with their radiance, still without direct light and reflected and refracted rays.
+        """Returns a wave: rays with their radiance, still without direct light, reflection and refraction.
 
         Args:
             scene: The device scene.
@@ -76,8 +76,8 @@ class Surfaces:
             carried: State that the rays inherit from earlier ones; None for camera rays.
             may_branch: Whether smooth meshes may reflect and refract rays.
             on_paths: In path-traced frames, whether the rays belong to paths.
-            table: Name of the buffer with the struct that kernels read; None: ``wave.`` and ``number``. Needed where
-                two waves of one number exist at once.
+            table: Name of the buffer with the struct that kernels read; None: ``wave.`` followed by ``number``. Two
+                waves with the same number need different names if both exist at once.
         """
         with self._launcher.stage("shade"):
             if plan.has_media and number == 0:

@@ -22,7 +22,7 @@ def is_unshadowed(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) 
 
 @wp.func
 def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the light that a surface reflects from all lights without shadows, treated as points or directions.
+    """Returns the light that a surface reflects from lights without shadows; they count as points or directions.
 
     The environment is not included.
     """
@@ -60,9 +60,9 @@ def add_hard_lights(
     scene: wp.array[ShadingScene],
     wave_inout: wp.array[WaveData],
 ):
-    """Per ray: adds all lights without shadows, treated as points or directions; the environment is not included.
+    """Per ray: adds all lights without shadows as points or directions; the environment is not included.
 
-    Merging this kernel with ``add_sampled_lights`` makes a frame with direct light only an eighth slower.
+    If this kernel and ``add_sampled_lights`` were one, frames that have only direct light would take an eighth longer.
     """
     i = start + wp.tid()
     stride = wave_inout[0].interactions.exists.shape[0] // 2

@@ -31,8 +31,8 @@ class DepthOrder:
     order: DeviceArray
     """Indices of splats or triangles in depth order; entries from ``count`` on are culled items or undefined."""
     count: int
-    """Number of entries of ``order`` to list per tile. On CUDA it includes culled ones, because the visible count
-    stays on the device."""
+    """Number of entries of ``order`` to list per tile. On CUDA the number includes culled items, because the number of
+    visible items stays on the device."""
 
 
 @dataclass(frozen=True, slots=True)

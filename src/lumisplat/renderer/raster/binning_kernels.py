@@ -31,7 +31,7 @@ def chunk_edge(chunk: int, chunks: int, count: int) -> int:
 
 @wp.kernel
 def measure_keys(start: int, chunks: int, keys: wp.array[wp.uint32], chunk_out: wp.array[ChunkData]):
-    """Per chunk: writes how many of its depth keys are visible, and the lowest and highest of these."""
+    """Per chunk: writes how many of its depth keys are visible, and the lowest and the highest visible key."""
     chunk = start + wp.tid()
     data = ChunkData()
     data.key_min = KEY_CULLED
@@ -201,9 +201,10 @@ def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.arr
 
 @wp.kernel
 def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], counts_out: wp.array[int]):
-    """Per splat or triangle: counts the tiles that it touches; they are taken in ``order`` unless it is empty.
+    """Per splat or triangle: counts the tiles that it touches.
 
-    There is one count more, so that an exclusive scan of the counts ends with the total.
+    The counts are in the order of ``order``; if that is empty, in the original order. There is one count more, so that
+    an exclusive scan of the counts ends with the total.
     """
     i = start + wp.tid()
     counts_out[i] = 0

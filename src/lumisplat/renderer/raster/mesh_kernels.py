@@ -34,7 +34,7 @@ OPTIONS = {"enable_backward": False, "fuse_fp": False}
 wp.set_module_options(OPTIONS)
 
 NOTHING = wp.constant(wp.int64(2**63 - 1))
-"""Depth and triangle index in one integer, largest value: no triangle covers the pixel."""
+"""Largest packed value (depth and triangle index in one integer). It means that no triangle covers the pixel."""
 INDEX_BITS = wp.constant(wp.int64(32))
 
 

@@ -44,7 +44,7 @@ def count_mixed(
     tile_splats: wp.array[int],
     counts_out: wp.array[int],
 ):
-    """Per tile: writes how many splats it lists if both relit sets and others are among them, else 0."""
+    """Per tile: writes its number of splats if it lists splats of relit sets and of other sets, else 0."""
     tile = start + wp.tid()
     begin = tile_starts[tile]
     end = tile_starts[tile + 1]

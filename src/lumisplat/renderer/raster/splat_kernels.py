@@ -191,7 +191,7 @@ def sample_tiles(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Per tile: chooses one splat for each pixel, the nearest whose alpha exceeds its random number at the pixel."""
+    """Per tile: chooses one splat for each pixel, the nearest whose alpha exceeds the splat's random number there."""
     arrays = SampleArrays()
     arrays.splats = splats
     arrays.sample = samples[0]
@@ -317,7 +317,7 @@ def sample_pixels(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Per pixel: chooses one splat of its tile, the nearest whose alpha exceeds its random number at the pixel.
+    """Per pixel: chooses one splat of its tile, the nearest whose alpha exceeds the splat's random number there.
 
     The thread index is tile * 256 + pixel of the tile.
     """

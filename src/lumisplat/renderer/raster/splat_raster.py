@@ -114,8 +114,8 @@ class SplatRaster:
     ) -> None:
         """Blends each pixel's splats front to back over the mesh or the background.
 
-        If ``finds_depth``, the surface depth is the peak of the surface Gaussian on the pixel's ray, else the depth of
-        its mean.
+        The surface depth is that of the surface Gaussian: if ``finds_depth``, its peak on the pixel's ray, else its
+        mean.
         """
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, EXTRA_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
@@ -219,7 +219,10 @@ class SplatRaster:
         self._launcher.run_banded(kernel, math.prod(scene.image_size), *inputs)
 
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
-        """Blends splats by the kernel per pixel (``by_pixel``), per thread block (CUDA) or per tile; all are equal."""
+        """Blends splats by the kernel per pixel (``by_pixel``), per thread block (CUDA) or per tile.
+
+        All kernels give the same result.
+        """
         inputs = (scene.splat_camera, self.settings, scene.splat_instances, *arguments)
         if by_pixel:
             self._run_pixels(scene, splat_kernels.composite_pixels, inputs)

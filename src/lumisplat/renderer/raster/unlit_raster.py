@@ -1,7 +1,7 @@
 """A fast path that composites an unlit, sorted raster frame directly into its pixels.
 
-Going through primary hits, such a frame takes 19 to 43 % longer: each pixel would start a ray, store its hits and shade
-them, although the compositor already has the result in registers.
+By way of primary hits, such a frame would take 19 to 43 % longer: each pixel would start a ray, store its hits and
+shade them, although the compositor already has the result in registers.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class UnscentedRaster:
         assign_table(self._settings, self._table)
 
     def find_hits(self, scene: DeviceScene, rays: RayData, centers: RayData | None = None) -> PrimaryHits:
-        """Returns the hits of the current sample's camera rays, with Gaussians from tile lists and traced meshes.
+        """Returns the hits of the current sample's camera rays, on Gaussians by tile lists, on meshes by tracing.
 
         If `Binning.finish` returns False, a tile list was too short, and the hits are incomplete.
 

@@ -15,7 +15,7 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class Antialiasing:
-    """Averages each pixel's colours and layers over frames, which are reprojected along the pixel's motion."""
+    """Averages each pixel's colours and layers over frames; earlier frames are reprojected along the pixel's motion."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers

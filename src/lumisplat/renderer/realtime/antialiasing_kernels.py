@@ -35,11 +35,12 @@ ANTIALIASING_SIGMAS = 3.0
 """
 
 ANTIALIASING_LEAST = 0.05
-"""Tolerance of colour clamping: a pixel's history may lie outside the colour range of the 3 x 3 pixels around by this
-fraction of their luminance."""
+"""Tolerance of colour clamping: a pixel's history may lie outside the colour range of the 3 x 3 pixels around the
+pixel by this fraction of their luminance."""
 
 FAR_AWAY = 1e6
-"""Distance from the eye, scene units, at which the background is assumed when its motion in the image is computed."""
+"""Assumed distance of the background from the eye, scene units, when the background's motion in the image is computed.
+"""
 
 FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
 MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))
@@ -162,7 +163,7 @@ def is_noise(
     motions: wp.array[wp.vec3],
     history: TemporalHistory,
 ) -> bool:
-    """Returns whether this frame's samples of 3 x 3 still pixels lie within noise of the pixels' means over frames."""
+    """Returns whether this frame's samples of 3 x 3 still pixels differ from the pixels' means only as noise does."""
     means = history.color
     frames = history.frames
     changes = history.change
@@ -181,7 +182,7 @@ def is_noise(
 
 @wp.func
 def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean: wp.vec3) -> float:
-    """Returns the weight that a pixel's history keeps: 1 if ``mean`` is in the colour range of 3 x 3 pixels around.
+    """Returns the weight that a pixel's history keeps: 1 if ``mean`` is in the colour range of the 3 x 3 pixels.
 
     If ``mean`` lies outside the range by more than a tolerance, the weight is (tolerance / distance)^4 (soft clamping).
     """
@@ -221,7 +222,8 @@ def weight_history(
         start: Offset added to the thread index.
         size: Width and height of the images.
         history_weight: Factor on the number of frames of every history; 1 unless lights or objects have changed.
-        moved_to: Index in this frame of each instance of the previous frame; UNMOVED (-1) if it stood still, GONE (-2).
+        moved_to: Index in this frame of each instance of the previous frame; UNMOVED (-1): it stood still; GONE (-2):
+            it was removed.
         history: History of the previous frame.
         pixels_inout: The pixels; receive the position in the previous frame and the weight.
         history_out: History of this frame.

@@ -21,12 +21,12 @@ from lumisplat.device.structs.shading import LightSample, ShadingScene, WaveData
 wp.set_module_options(SHADE_OPTIONS)
 
 POINT_BRANCH = wp.constant(9)
-"""Number by which the key of the random point in a box around a capture is derived from a ray's random key."""
+"""Number that derives a random key from a ray's key: the key for the random point in a box around a capture."""
 BOX_BRANCH = wp.constant(10)
-"""Number by which the key of the choice of a box around a capture, and of the depth in the box, is derived from a
-ray's random key."""
+"""Number that derives a random key from a ray's key: the key for choosing a box around a capture, and the depth in the
+box."""
 RAY_BRANCH = wp.constant(11)
-"""Number by which the key of a ray from a surface towards captures is derived from the camera ray's random key; it
+"""Number that derives a random key from a camera ray's key: the key of a ray from a surface towards captures. That key
 decides which Gaussians the ray hits."""
 OPAQUE = wp.constant(wp.float32(EMITTER_OPAQUE))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
@@ -47,13 +47,13 @@ def start_captured_rays(
 
     Args:
         start: Offset added to the thread index.
-        follows_lobes: Whether separate rays within highlights hit captures. This kernel then samples only the fraction
-            of each highlight that those rays do not cover.
+        follows_lobes: Whether other rays, sent within highlights, also hit captures. If so, this kernel samples only
+            the fraction of each highlight that those rays do not cover.
         boxes: Boxes around the captures.
         scene: The scene.
         wave: The camera rays; each pixel's light sample has its number in a low-discrepancy sequence.
         slots: For each camera ray, which of its two surfaces has a light sample; -1: none.
-        light_out: Reflected radiance for incoming radiance 1, over the pdf of the direction.
+        light_out: Reflected radiance for incoming radiance 1, divided by the pdf of the direction.
         rays_out: The rays; they end behind the boxes.
     """
     i = start + wp.tid()
@@ -102,7 +102,7 @@ def end_behind_glass(
     ends_out: wp.array[float],
     is_glass_out: wp.array[int],
 ):
-    """Per ray towards captures: writes the distance of the mesh that it hits as its end, unless the mesh is glass."""
+    """Per ray towards captures: writes its end, the distance of the mesh that it hits; rays that hit glass go on."""
     i = start + wp.tid()
     is_glass_out[i] = 0
     ends_out[i] = 0.0
@@ -118,7 +118,7 @@ def end_behind_glass(
 
 @wp.kernel
 def start_through_glass(start: int, is_glass: wp.array[int], emitted: GaussianHits, rays_inout: RayData):
-    """Per ray towards captures: ends it at the capture behind the glass that it hits; without glass, deactivates it."""
+    """Per ray towards captures: ends rays that hit glass at the capture behind the glass; deactivates other rays."""
     i = start + wp.tid()
     if is_glass[i] == 0:
         rays_inout.is_active[i] = False

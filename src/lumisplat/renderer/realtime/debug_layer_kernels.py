@@ -75,7 +75,7 @@ def draw_history(
 
 @wp.kernel
 def draw_probes(start: int, camera: wp.array[CameraData], probes: ProbeData, image_inout: wp.array[wp.vec3]):
-    """Per probe: writes the number of times the probe was updated to its pixel; no two probes share a pixel."""
+    """Per probe: writes its number of updates into its pixel of the image; no two probes share a pixel."""
     i = start + wp.tid()
     if probes.is_placed[i] == 0:
         return

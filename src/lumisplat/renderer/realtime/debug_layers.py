@@ -41,7 +41,7 @@ class DebugLayers:
         return image
 
     def motion(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
-        """Draws the motion, since the previous frame and in pixels, of the surface that covers most of each pixel.
+        """Draws the motion since the previous frame, in pixels, of the surface that covers most of each pixel.
 
         NaN: the surface is new, so its motion is unknown.
         """

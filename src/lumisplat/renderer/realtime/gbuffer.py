@@ -12,7 +12,8 @@ from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 SPLATS, MESHES = 0, 1
-"""Kinds of surfaces at a pixel: 0 Gaussians, 1 meshes. Also the index of a ray's interaction, of which it has two."""
+"""Kinds of surfaces at a pixel: 0 for Gaussians, 1 for meshes. A ray has one interaction with each kind; the kind is
+the index of the interaction."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,8 +130,8 @@ class IndirectLight:
     ) -> LobeRays:
         """Traces the rays within specular lobes, and stores their radiance in ``lobes``.
 
-        Direct light at the rays' hits is sampled instead of read from the radiance cache, whose cells would be visible
-        in narrow highlights.
+        Direct light at the rays' hits is sampled. The radiance cache is not read, because its cells would be visible in
+        narrow highlights.
         """
         if rays is not None:
             hits = self._rays.trace(scene, plan, rays, "lobe_rays")
@@ -184,7 +184,7 @@ class SecondaryHits:
 
 
 class SecondaryRays:
-    """Traces rays that leave surfaces, and samples direct light where they hit others."""
+    """Traces rays that leave surfaces, and samples direct light at the surfaces that the rays hit."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, shadows: ShadowRays) -> None:
         self._launcher, self._buffers, self._tracer, self._shadows = launcher, buffers, tracer, shadows

@@ -24,7 +24,8 @@ rounding does not put the origin below the surface. The cache stores no triangle
 
 LIFT = wp.constant(wp.float32(RAY_LIFT))
 GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
-"""Number mixed into the random seed of look-ups within highlights, so that it differs from that of other look-ups."""
+"""Number mixed into the random seed of look-ups within highlights, so that their seed differs from that of other
+look-ups."""
 
 
 @wp.kernel
@@ -44,7 +45,7 @@ def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, la
 
 @wp.kernel
 def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: RayData):
-    """Per ray: starts it at a point of the radiance cache in a cosine-weighted direction; inactive without a point.
+    """Per ray: starts it at its point of the radiance cache, in a cosine-weighted direction; without point, inactive.
 
     Gaussians within ``offset`` times the scale of the point's Gaussian do not block the ray.
     """
@@ -76,7 +77,7 @@ def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: R
 
 @wp.kernel
 def add_direct(start: int, samples: CacheSamples, reflected_inout: wp.array[wp.vec3]):
-    """Per ray: adds the sampled direct light that the surface at the ray's hit reflects to ``reflected_inout``."""
+    """Per ray: adds to ``reflected_inout`` the sampled direct light that the surface at the ray's hit reflects."""
     i = start + wp.tid()
     if samples.is_active[i]:
         reflected_inout[i] += samples.radiance[i]
@@ -129,7 +130,7 @@ def gather_light(
     interval: int,
     light_out: SurfaceLight,
 ):
-    """Per pixel: computes the indirect light that its surface reflects, from probes and from rays within highlights.
+    """Per pixel: computes the indirect light, from probes and from rays in highlights, that its surface reflects.
 
     Args:
         start: Offset added to the thread index.

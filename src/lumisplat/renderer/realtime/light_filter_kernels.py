@@ -27,16 +27,16 @@ wp.set_module_options({"enable_backward": False})
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_PIXEL_PX = 2.0
-"""Largest distance, in pixel widths, between a point and the tangent plane of the surface at a previous pixel, and
-vice versa, at which the point continues that pixel's history. The limit keeps contact shadows from taking the history
-of the object that stands on the surface."""
+"""A point continues the history of a previous pixel if it lies within this many pixel widths of the tangent plane of
+that pixel's surface, and the surface within as many of the point's tangent plane. The limit keeps contact shadows from
+taking the history of the object that stands on the surface."""
 
 CHANGE_SIGMAS = 3.0
-"""Number of standard deviations by which the samples around a pixel must differ from their means to count as a change
-of light instead of noise."""
+"""Light counts as changed if the samples around a pixel differ from their means by at least this many standard
+deviations of the noise."""
 
 CHANGE_LEAST = 0.02
-"""Relative difference of light below which the samples around a pixel never count as a change of light."""
+"""Light never counts as changed if the samples around a pixel differ from their means by less than this fraction."""
 
 MOMENT_FRAMES = 8
 """Number of frames up to which the luminance's moments, and hence its variance, are true means; later frames have the
@@ -51,7 +51,7 @@ YOUNG_FRAMES = 3.5
 frames are whole up to rounding, so 3.5 is safe."""
 
 WEIGHT_LEAST = 1e-8
-"""Product of a neighbour's position and normal weights below which the neighbour is ignored, so that surfaces at an
+"""A neighbour is ignored if its position weight times its normal weight is below this value, so that surfaces at an
 angle give no light to pixels without samples."""
 
 PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
@@ -79,20 +79,20 @@ class LightChange:
     """Statistics of how the light samples of neighbouring pixels differ from the pixels' means over earlier frames."""
 
     sampled: float
-    """Sum over the 5 x 5 pixels around of the luminance of this frame's light samples."""
+    """Luminance of this frame's light samples, summed over ``count`` pixels."""
     expected: float
-    """Sum over the 5 x 5 pixels around of the luminance of the mean light over earlier frames."""
+    """Luminance of the mean light over earlier frames, summed over ``count`` pixels."""
     variance: float
     """Variance of ``sampled``: the sum of the variances that the pixels' light samples had in earlier frames."""
     brighter: float
-    """Number of the 5 x 5 pixels around whose sample is brighter than their mean over earlier frames."""
+    """Number of the ``count`` pixels whose sample is brighter than their mean over earlier frames."""
     count: float
-    """Number of the 5 x 5 pixels around that ``sampled``, ``expected`` and ``variance`` sum over."""
+    """Number of the 5 x 5 pixels around a pixel that show its surface and have a light sample and a long history."""
     lowest: float
-    """Luminance of the darkest light sample of the 5 x 5 pixels around, also of pixels with a short history; inf: no
+    """Luminance of the darkest light sample of the 5 x 5 pixels, including pixels with a short history; inf: no
     sample."""
     highest: float
-    """Luminance of the brightest light sample of the 5 x 5 pixels around, also of pixels with a short history."""
+    """Luminance of the brightest light sample of the 5 x 5 pixels, including pixels with a short history."""
 
 
 @wp.func
@@ -134,10 +134,10 @@ def history_of(
     camera_before: wp.array[CameraData],
     image: LightHistory,
 ) -> PixelHistory:
-    """Interpolates the history of a pixel's surface between the previous pixels around its reprojected position.
+    """Interpolates the history of a pixel's surface between the four previous pixels around its reprojected position.
 
-    A previous pixel counts only if it shows the same surface. If none of the four does and the surface stands still,
-    the history is the mean over 3 x 3 pixels, because jittered samples may see past edges.
+    A previous pixel counts only if it shows the same surface. If none of the four shows it and the surface stands
+    still, the history is the mean over 3 x 3 pixels, because jittered samples may see past edges.
     """
     history = PixelHistory()
     position = surfaces.previous[pixel]
@@ -254,10 +254,10 @@ def retained_share(change: LightChange, shared: float) -> float:
 
 @wp.func
 def share_inside(change: LightChange, held: float) -> float:
-    """Returns the factor on the length of a pixel's history after objects moved: 1 if it is in the samples' range.
+    """Returns the factor on the length of a pixel's history after objects moved.
 
-    ``held`` is the luminance of the history. Outside the range of the 5 x 5 samples around by more than the fraction
-    `CHANGE_LEAST`, the factor is (tolerance / distance)^4.
+    ``held`` is the luminance of the history. The factor is 1 if ``held`` lies within the range of the 5 x 5 samples, or
+    outside by at most a tolerance, `CHANGE_LEAST` times ``held``. Farther outside, it is (tolerance / distance)^4.
     """
     outside = wp.max(change.lowest - held, held - change.highest)
     tolerated = CHANGED_LEAST * held
@@ -288,7 +288,7 @@ def accumulate(
     history: LightHistory,
     history_out: LightHistory,
 ):
-    """Per pixel: adds the pixel's sample to its history, which counts for fewer frames the more the light has changed.
+    """Per pixel: adds the sample to its history. The more the light has changed, the fewer frames the history counts.
 
     The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). Histories of few frames are
     shortened only when objects move, and only if they are outside the range of the samples around.
@@ -434,7 +434,7 @@ def luminance_weight(difference: float, variance: float, other: float) -> float:
 
 @wp.func
 def normal_weight(cosine: float, extent: float) -> float:
-    """Returns a neighbour's weight: the cosine between both normals to the power of 8 (Gaussians) or 64 (meshes).
+    """Returns a neighbour's weight: the cosine between the two normals, to the power 8 (Gaussians) or 64 (meshes).
 
     ``extent`` is the Gaussian's size; 0 for meshes.
     """

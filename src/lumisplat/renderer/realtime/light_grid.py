@@ -33,7 +33,7 @@ class LightGrids:
         return scene.lights.choice_count > GRID_LIGHTS
 
     def of_wave(self, scene: DeviceScene, wave: RayWave) -> LightGrid:
-        """Chooses lights for the grid cells of the surfaces that a wave's rays hit; empty if `is_needed` is False.
+        """Chooses lights for the grid cells of surfaces that a wave's rays hit; the grid is empty unless `is_needed`.
 
         The next call overwrites the result.
         """

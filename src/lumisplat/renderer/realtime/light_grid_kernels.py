@@ -39,7 +39,7 @@ def find_cells(
     keys_out: wp.array[wp.int64],
     order_out: wp.array[int],
 ):
-    """Per ray: writes the key of the grid cell of the surface for which the ray's pixel samples a light."""
+    """Per ray: writes a grid cell's key: of the cell with the surface for which the ray's pixel samples a light."""
     i = start + wp.tid()
     order_out[i] = i
     keys_out[i] = NO_CELL
@@ -113,9 +113,10 @@ def largest_rank(ranks: wp.array[float], first: int) -> int:
 def choose_lights(
     start: int, cells: wp.array[wp.int64], ends: wp.array[int], scene: wp.array[ShadingScene], grid_out: LightGrid
 ):
-    """Per cell: samples lights without replacement: those with the smallest exponential random number over weight.
+    """Per cell: samples lights without replacement: the lights with the smallest ranks.
 
-    The largest stored quotient gives the probability with which each other stored light was chosen.
+    A rank is an exponential random number divided by the light's weight. The largest stored rank gives the probability
+    with which each other stored light was chosen.
     """
     c = start + wp.tid()
     if c >= ends[ends.shape[0] - 1]:

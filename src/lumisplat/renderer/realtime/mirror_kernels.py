@@ -36,8 +36,8 @@ def list_surfaces(
 ):
     """Per interaction: writes its surface as a query of the radiance cache, and a point in its plane to look up.
 
-    The point is random within half of ``cell_size`` (the width of cells as a fraction of their distance); 0: the hit
-    itself.
+    The point is random within half of ``cell_size`` (the width of cells as a fraction of their distance). If
+    ``cell_size`` is 0, the point is the hit itself.
     """
     j = start + wp.tid()
     ray = j % wave[0].rays.is_active.shape[0]
@@ -126,10 +126,10 @@ def sample_light_of_cells(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Per ray: samples light number ``slot`` of those stored for its surface's grid cell, and starts the shadow ray.
+    """Per ray: samples light ``slot`` of its surface's grid cell, and starts the shadow ray.
 
-    The contribution is divided by the light's probability. Surfaces that choose from all lights have one sample, in
-    slot 0.
+    ``slot`` is an index into the lights stored for the cell. The contribution is divided by the light's probability.
+    Surfaces that choose from all lights have one sample, in slot 0.
     """
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
@@ -166,6 +166,6 @@ def add_samples(
 
 @wp.kernel
 def subtract(start: int, wave: wp.array[WaveData], before: wp.array[wp.vec3], difference_out: wp.array[wp.vec3]):
-    """Per ray: writes its radiance minus ``before``, the part that reflections and refractions added."""
+    """Per ray: writes the radiance that reflections and refractions added: its radiance minus ``before``."""
     i = start + wp.tid()
     difference_out[i] = wave[0].radiance.light[i] - before[i]

@@ -128,7 +128,7 @@ class Mirrors:
         run(kernels.add_samples, count, sampled, rays, visibility, wave.data)
 
     def _add_cached(self, scene: DeviceScene, wave: RayWave) -> None:
-        """Adds the indirect light at the surfaces that rays hit, read from the radiance cache, to the rays."""
+        """Adds to rays the indirect light that the radiance cache holds for the surfaces that the rays hit."""
         samples = self._buffers.struct("mirrors.samples", CacheSamples, 2 * wave.count)
         points = self._buffers.get("mirrors.points", wp.vec3, 2 * wave.count)
         inputs = self._jitter_width, scene.camera, wave.data, samples, points

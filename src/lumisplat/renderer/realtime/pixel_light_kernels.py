@@ -16,7 +16,8 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 ALBEDO_MIN = 1e-3
-"""Lower bound of the albedo by which reflected diffuse light is divided to get irradiance, which is filtered."""
+"""Lower bound of albedos. Reflected diffuse light is divided by the albedo to get irradiance, and the irradiance is
+filtered."""
 
 wp.set_module_options(SHADE_OPTIONS)
 

@@ -105,12 +105,12 @@ class RadianceCache:
         return self._look_up("radiance", samples)
 
     def look_up_indirect(self, samples: CacheSamples, points: DeviceArray | None = None) -> DeviceArray:
-        """Returns the radiance that each sample's surface reflects of light from other surfaces; linear vec3.
+        """Returns the radiance that each sample's surface reflects, of light from other surfaces only; linear vec3.
 
         Args:
             samples: The surfaces.
-            points: Points in the planes of the surfaces at which to look up instead; random points hide the edges of
-                cells. The sample's position is used where the point's cell is empty, or if ``points`` is None.
+            points: Points at which to look up, in the planes of the surfaces; random points hide the edges of cells. If
+                a point's cell is empty, or if ``points`` is None, the sample's position is used instead.
         """
         count = len(device_array(samples.is_active))
         radiance = self._get("indirect", wp.vec3, count)
@@ -131,9 +131,9 @@ class RadianceCache:
         """Returns ray origins in the cells that have waited longest since their last ray.
 
         Each cell gets one ray, or several if cells are few. The caller traces a cosine-weighted ray from each point,
-        inserts the hits, and passes them to `add_bounces`. The number of points is fixed by the settings. Fine cells,
-        which short rays hit, get one point each, and more than half of all points only if coarse cells, which long rays
-        hit, need no more. Only whole tiles are listed; the remaining points are inactive.
+        inserts the hits, and passes them to `add_bounces`. The number of points is fixed by the settings. Short rays
+        hit fine cells, long rays coarse cells. Fine cells get one point each. Together they get more than half of all
+        points only if coarse cells cannot use the rest. Only whole tiles are listed; the remaining points are inactive.
         """
         run, buffers, tiles = self._launcher.run_banded, self._buffers, self.tiles
         points = buffers.struct("radiance_cache.points", CachePoints, self._config.bounces)

@@ -82,7 +82,7 @@ def gather_keys(start: int, keys: wp.array[wp.int64], order: wp.array[int], keys
 
 @wp.func
 def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.vec4:
-    """Returns a mean that counts for ``weight`` samples after adding ``count`` samples whose sum is ``total``."""
+    """Adds ``count`` samples with sum ``total`` to a mean that counts for ``weight`` samples; returns the new mean."""
     before = wp.float64(weight)
     all = before + wp.float64(count)
     color = (wp.vec3d(color_of(mean)) * before + total) / all
@@ -200,7 +200,7 @@ def look_up_indirect(
     tiles: CacheTiles,
     radiance_out: wp.array[wp.vec3],
 ):
-    """Writes the linear radiance that each sample's surface reflects of light from other surfaces; 0 if not stored.
+    """Writes the linear radiance that each sample's surface reflects, of light from other surfaces; 0 if not stored.
 
     The cell is looked up at ``points`` if that cell has data; otherwise, or if ``points`` is empty, at the sample's
     position.
@@ -240,7 +240,7 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
 
 @wp.kernel
 def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: wp.array[int], far_out: wp.array[int]):
-    """Writes the number of filled cells of each tile, tiles sorted as in ``ranks``: fine and coarse ones separately."""
+    """Writes each tile's number of filled cells in the order of ``ranks``: fine cells and coarse cells separately."""
     i = start + wp.tid()
     near_out[i] = 0
     far_out[i] = 0
@@ -265,8 +265,8 @@ def near_rays(budget: int, near: int, far: int) -> int:
 def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
     """Returns the rank (index in sort order) of the tile where ``ray`` starts; each filled cell sends ``rays`` rays.
 
-    The result is -1 for rays after those of the last whole tile within ``budget`` rays. ``ends`` is the running sum
-    over the ranks of the number of filled cells.
+    A tile sends rays only if all of them fit into ``budget``; for further rays, the result is -1. ``ends`` is the
+    running sum, over the ranks, of the number of filled cells.
     """
     tile = first_not_below(ends, ends.shape[0], ray // rays + 1)
     if tile < ends.shape[0]:
@@ -277,7 +277,7 @@ def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
 
 @wp.func
 def filled_cell(tiles: CacheTiles, slot: int, number: int) -> int:
-    """Returns the index in its tile of filled cell ``number``, counting only the tile's filled cells."""
+    """Returns a filled cell's index in its tile. ``number`` is the cell's index among the filled cells of the tile."""
     cell = int(-1)
     while number >= 0:
         cell += 1

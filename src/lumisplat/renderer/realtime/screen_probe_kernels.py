@@ -37,8 +37,8 @@ from lumisplat.device.structs.rays import RayData
 wp.set_module_options({"enable_backward": False})
 
 PROBE_STAYS_PX = 2.0
-"""Distance in the image, pixels, up to which a probe keeps its position in the next frame: from the probe to the pixel
-in its tile that now shows its surface."""
+"""Largest distance in the image, pixels, between a probe and the pixel of its tile that shows its surface in the next
+frame; up to this distance, the probe keeps its position."""
 
 STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 
@@ -68,10 +68,10 @@ def copy_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
 def is_as_before(
     pixel: int, source: int, grid: ProbeGrid, camera: CameraData, surfaces: SurfacePixels, before: ProbeData
 ) -> bool:
-    """Returns whether a probe may stay where probe ``source`` was in the previous frame, still and near ``pixel``.
+    """Returns whether a probe may stay where probe ``source`` was in the previous frame.
 
-    The surface must not have moved, and the old position must be within `PROBE_STAYS_PX` of the pixel. A probe that
-    followed the jitter of samples would lose the radiance of near surfaces.
+    The surface of ``pixel`` must not have moved, and the old position must be within `PROBE_STAYS_PX` of that pixel. A
+    probe that followed the jitter of samples would lose the radiance of near surfaces.
     """
     if not wp.length(surfaces.previous[pixel] - surfaces.position[pixel]) == 0.0:  # NaN: the surface is new
         return False
@@ -90,7 +90,7 @@ def set_probe(
     before: ProbeData,
     probes_out: ProbeData,
 ):
-    """Places probe ``i`` on the surface of ``pixel``; -1: the probe is unused.
+    """Places probe ``i`` on the surface of ``pixel``; if that is -1, the probe is unused.
 
     If the surface is still the one of probe ``source`` of the previous frame, the probe stays at that probe's position.
     """
@@ -194,7 +194,7 @@ def carry_cells(
 ):
     """Per probe: copies the cells (directions) of its predecessor in the previous frame, reprojected to its position.
 
-    A cell whose hit is nearer than the probe has moved keeps its direction.
+    A cell keeps its direction if its hit is nearer than the distance by which the probe has moved.
     """
     i = start + wp.tid()
     side = grids[0].cells
@@ -241,12 +241,13 @@ def carry_cells(
 NORMALS = wp.constant(PROBE_NORMALS)
 CHUNK = wp.constant(MEANS_CHUNK)
 AROUND = wp.constant(2)
-"""Radius in pixels of the square whose mean irradiance a pixel without light from probes gets."""
+"""A pixel without light from probes gets the mean irradiance of the pixels around it, up to this many pixels away
+along each axis."""
 JITTER_X = wp.constant(wp.uint32(0))
-"""Dimensions of the random numbers by which the position is jittered at which a pixel looks up probes."""
+"""Dimensions of two random numbers, which jitter the position at which a pixel looks up probes."""
 JITTER_Y = wp.constant(wp.uint32(1))
 LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
-"""Number mixed into the random seed of pixels' look-ups, so that it differs from that of the probes' rays."""
+"""Number mixed into the random seed of pixels' look-ups, so that their seed differs from that of the probes' rays."""
 
 
 @wp.kernel
@@ -324,7 +325,10 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """Per probe cell (direction): averages radiance over the probe, its tile's other probe, and those of four tiles."""
+    """Per probe cell (direction): averages radiance over its probe and the probes around.
+
+    These are the other probe of the same tile, and the regular probes of the four adjacent tiles.
+    """
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells

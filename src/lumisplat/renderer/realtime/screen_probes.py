@@ -34,7 +34,8 @@ class ScreenProbes:
         buffers: Holds the arrays.
         config: Settings.
         seed: Seed of random numbers.
-        offset: Distance up to which Gaussians do not block a probe's rays, in scales of the Gaussian that it lies on.
+        offset: Distance up to which Gaussians do not block a probe's rays, as a multiple of the scale of the Gaussian
+            at the probe.
     """
 
     def __init__(

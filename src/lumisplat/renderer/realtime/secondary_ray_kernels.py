@@ -34,7 +34,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the linear radiance emitted along ray ``i``, except by meshes that surfaces sample as lights."""
+    """Returns the linear radiance emitted along ray ``i``, without that of meshes that surfaces sample as lights."""
     radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     radiance *= scene[0].settings[0].capture_gain
     radiance += wave[0].radiance.light[i]
@@ -103,7 +103,7 @@ def shade_hits(
         samples_out: The surfaces, without reflected radiance.
         bounced_out: Radiance of the rays, without the light that the surfaces reflect.
         rays_out: Shadow rays.
-        onward_inout: Rays that continue at smooth surfaces; from the second bounce on, these are the rays themselves.
+        onward_inout: Rays that continue at smooth surfaces; from the second bounce on, ``wave`` has these same arrays.
     """
     i = start + wp.tid()
     follows = onward_inout.length_before.shape[0] > 0
@@ -189,15 +189,15 @@ def add_reflected(
 
 
 CHOICE_BRANCH = wp.constant((1 << 20) + 3)
-"""Number by which the key of the choice of a surface that sends a ray within its highlight is derived from a ray's
-random key."""
+"""Number that derives a random key from a ray's key: the key for choosing the surface that sends a ray within its
+highlight."""
 
 
 @wp.func
 def traced_share(j: int, wave: wp.array[WaveData]) -> float:
-    """Returns the fraction of light that the highlight of interaction ``j`` reflects; 0 if it is too wide for rays.
+    """Returns the fraction of light that the highlight of interaction ``j`` reflects; 0 if the highlight is too wide.
 
-    A highlight is too wide if its roughness alpha is at least ``ALPHA_TO``.
+    A highlight is too wide for rays if its roughness alpha is at least ``ALPHA_TO``.
     """
     interaction = interaction_of(j, wave)
     if highlight_width(interaction.bsdf) >= ALPHA_TO:

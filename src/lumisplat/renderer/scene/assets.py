@@ -128,7 +128,7 @@ def overwrite_gaussians(data: GaussianData, attributes: SplatAttributes, gaussia
 
 
 def shares_memory(device: str) -> bool:
-    """Returns whether kernels on the device read the host's arrays directly, which must then not be overwritten."""
+    """Returns whether kernels on the device read the host's arrays directly; such arrays must not be overwritten."""
     return device == "cpu"
 
 

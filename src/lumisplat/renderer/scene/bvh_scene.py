@@ -35,7 +35,7 @@ class SplatSets(Enum):
     CAPTURED = "captured"
     """Splat sets that emit their captured colours."""
     RELIT = "relit"
-    """Splat sets that are relit, which are all that do not emit their captured colours."""
+    """Splat sets that are relit: all sets that do not emit their captured colours."""
     SHADOW_CATCHERS = "shadow_catchers"
     """Splat sets that are shadow catchers; they are also among the sets that emit captured colours."""
 
@@ -243,7 +243,7 @@ class BvhScene:
 
 
 def boxes_of_members(boxes: tuple[np.ndarray, np.ndarray], members: list[bool]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns boxes of which those of non-members are inverted (low above high): `tree_of_boxes` leaves them out."""
+    """Returns the boxes, inverted (low above high) for non-members, so that `tree_of_boxes` leaves these out."""
     chosen = np.array(members, bool)[:, None]
     return np.where(chosen, boxes[0], FAR), np.where(chosen, boxes[1], -FAR)
 

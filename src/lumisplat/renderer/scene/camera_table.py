@@ -21,8 +21,8 @@ FULL_IMAGE_PIXELS_MAX = 2**31 - 1
 """
 
 FIELD_MARGIN = 0.1
-"""Angle in radians by which points may lie outside a pinhole's widest ray and still be projected by the tangent of
-their angle. Farther out, where tangents diverge, the distance from the image centre grows linearly with the angle."""
+"""Points up to this angle, radians, outside a pinhole's widest ray are still projected by the tangent of their angle.
+Farther out, where tangents diverge, the distance from the image centre grows linearly with the angle."""
 
 FIELD_MAX = 1.56
 """Angle from the optical axis, radians, beyond which points are never projected by the tangent of their angle."""

@@ -66,8 +66,8 @@ class CapturedEmitters:
         """Table of the boxes (EmitterBox) around captures that are sampled as lights; None: there are no such
         captures."""
         self.marked: DeviceArray | None = None
-        """Copy of the scene's splat instances whose ``relit`` flag is 1 only for captures sampled as lights, so that
-        the tracer accumulates their radiance separately; None: there are no such captures."""
+        """Copy of the scene's splat instances with another ``relit`` flag: 1 for captures sampled as lights, else 0.
+        The tracer accumulates the radiance of flagged captures separately. None: there are no such captures."""
         self.instances: tuple[int, ...] = ()
         """Indices of the splat instances that are sampled as lights."""
         self._boxes: _AssetCache[Boxes] = _AssetCache(boxes_of)
