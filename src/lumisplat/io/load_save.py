@@ -55,10 +55,11 @@ class _LoadOptions(NamedTuple):
     incident: bool
     """Whether to read the SH of incident light that R3DG stores in a PLY for each Gaussian (``incidents_*``)."""
     lod: int | None
-    """Level of detail to load of a streamed SOG or a capture in blocks, 0 the finest; None: 0, or by ``budget``."""
+    """Level of detail to load from a streamed SOG or a capture in blocks; 0 is the finest. None selects the level by
+    ``budget``, or 0 without a budget."""
     budget: int | None
-    """Load the finest level of a streamed SOG or a capture in blocks that has at most this many Gaussians; None: no
-    limit."""
+    """Largest number of Gaussians to load from a streamed SOG or a capture in blocks: the finest level within this
+    limit is loaded. None has no limit."""
 
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -90,7 +91,8 @@ _ANIMATION_READERS = {
 _LUMISPLAT = "lumisplat"
 
 _PLY_WRITERS = {_LUMISPLAT: "splats.splat_ply.write_splat_ply", "r3dg": "splats.splat_ply.write_r3dg_ply"}
-"""PLY writer for each value of ``columns`` in `save`, the program whose columns are written."""
+"""PLY writer for each value of the argument ``columns`` of `save`. The value names the program whose columns are
+written."""
 
 _WRITERS = {
     ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
@@ -145,9 +147,9 @@ def load(
             which is 51.6 degrees.
         allow_outside: Whether a file may refer to buffers, layers, materials and textures outside of its own folder.
             Set it only for files that you trust. A ``scene.toml`` may always refer to any file.
-        up: Up direction for a ``scene.toml`` that does not state it: an axis (``"y-down"``) or a direction. None means
-            that of the first capture that states one, or else y down if the scene has a capture, y up if it has only
-            meshes. Other formats ignore the argument.
+        up: Up direction for a ``scene.toml`` that does not state it: an axis (``"y-down"``) or a direction. None uses
+            the up direction of the first capture that states one. If none does, it is y down for a scene with a
+            capture, and y up for a scene with only meshes. Other formats ignore the argument.
         incident: Whether to read the incident light that a .ply may store (R3DG's ``incidents_*``). It is the light of
             the training images, and does not light the scene.
         lod: Level of detail for streamed SOGs and captures in blocks, also those in a ``scene.toml``: 0 is the finest;
@@ -264,7 +266,7 @@ def check_format(path: PathLike, *, scene: bool = False) -> None:
 
 
 def load_cameras(path: PathLike, *, width: int | None = None, height: int | None = None) -> list[Camera]:
-    """Loads the cameras of a capture or a scene in file order; each has a unique ``name``, that of its image.
+    """Loads the cameras of a capture or a scene in file order; each gets a unique ``name`` from its image.
 
     Args:
         path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
@@ -438,7 +440,7 @@ def load_rig(path: PathLike, *, vertex_colors: bool = True, allow_outside: bool 
     """Loads a rigged glTF: its meshes, its joints and its animations.
 
     Translation, rotation, scale and morph target weights are animated with linear, step or cubic spline interpolation.
-    Meshes that only their node moves are included. Meshes with the same material are joined.
+    Meshes that are moved by their node alone are included. Meshes with the same material are joined.
 
     Args:
         path: A ``.glb`` or ``.gltf`` file.
@@ -656,6 +658,6 @@ def _in_folder(path: Path) -> Path:
 
 
 def _check_path_first(call: str, path: object) -> None:
-    """Raises `ConfigError` if the first argument of the save function ``call`` is no path: arguments are swapped."""
+    """Raises `ConfigError` if the first argument of the save function ``call`` is no path: arguments may be swapped."""
     if not isinstance(path, str | os.PathLike):
         raise ConfigError(f"{call}: the path comes first, got {type(path).__name__}")

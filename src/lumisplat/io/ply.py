@@ -179,7 +179,7 @@ def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...]
 def _with_usual_names(properties: list[PlyProperty]) -> list[PlyProperty]:
     """Normalises property names: lower case, no CloudCompare prefix (``scalar_``), colours named red, green and blue.
 
-    A property keeps its name if the new name is also that of another property.
+    A property keeps its name if another property already has the new name or would get it, too.
     """
     names = [prop.name for prop in properties]
     plain = [(_PREFIXES.sub("", name, count=1) if _PREFIXES.match(name) else name).lower() for name in names]
@@ -368,7 +368,7 @@ def _walk(
         scalars: Names of number properties to locate.
 
     Raises:
-        FormatError: The data ends before the last of these rows, or a list has a negative length.
+        FormatError: The data has fewer than ``count`` rows, or a list has a negative length.
     """
     counters = [
         struct.Struct(p.count_code[0] + np.dtype(p.count_code).char) if p.count_code else None
@@ -410,9 +410,9 @@ def _walk(
 
 
 def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]]) -> dict[str, PlyList] | None:
-    """Returns the lists of all rows at once if they are as long as those of the first row, as in a triangle mesh.
+    """Returns the lists of all rows at once if all rows have lists of equal lengths, as in a triangle mesh.
 
-    None if any list differs in length.
+    Returns None if any list differs in length from the first row's list of the same property.
 
     Args:
         element: The element.
@@ -435,7 +435,7 @@ def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]])
 
 
 def _gather(prop: PlyProperty, data: bytes, spans: list[_Span]) -> PlyList:
-    """Copies the lists at the positions ``spans`` of the binary data to one array, all of the property ``prop``."""
+    """Copies the lists of the property ``prop`` from the positions ``spans`` in the binary data to one array."""
     size = np.dtype(prop.code).itemsize
     items = b"".join([data[start : start + length * size] for start, length in spans])
     return PlyList(np.array([span.length for span in spans]), np.frombuffer(items, prop.code))

@@ -31,16 +31,16 @@ from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
 
 BLOCK_DEPTH_MAX = 16
-"""Largest number of times that a cube is halved along each axis; more would never separate Gaussians at one position.
+"""Most times that a cube is halved along each axis. Without this limit, Gaussians at one position would be split
+forever.
 """
 
 BLOCK_LEVEL_RATIO = 4
 """Factor by which the number of Gaussians falls from one level of detail to the next coarser one."""
 
 BLOCK_CELLS_MAX = 2**16
-"""Largest number of cubes before any is split, each of which is a file while blocks are written.
-
-If there are more, ``cell`` is too small, and writing fails."""
+"""Largest number of unsplit cubes; writing fails if a small ``cell`` needs more. Each of these cubes is a file while
+blocks are written."""
 
 _INDEX = BLOCKS
 """File name of the index. It is written last, so a folder without it is an incomplete capture."""
@@ -60,12 +60,12 @@ class BlockLevel:
     """The Gaussians of a block at one level of detail."""
 
     file: str
-    """Name of the file, in the capture's folder, that holds the Gaussians of this level as rows of float32."""
+    """Name of the level's file in the capture's folder. The file holds the level's Gaussians as rows of float32."""
     count: int
     scale_max: float
     """Largest standard deviation of any Gaussian of the level along any axis, scene units."""
     scale_mean: float
-    """Mean, over the Gaussians of the level, of their largest standard deviation, scene units."""
+    """Mean of max(scale_x, scale_y, scale_z) over the Gaussians of the level, scene units."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def packed(gaussians: Gaussians) -> FloatArray:
 
 
 def unpacked(rows: FloatArray, **settings: Any) -> Gaussians:
-    """Builds `Gaussians` from packed rows, the inverse of `packed`; ``settings`` as for `joined`, such as ``up``."""
+    """Builds `Gaussians` from rows of `packed`; ``settings`` are keyword arguments of `joined`, such as ``up``."""
     return joined([rows], len(rows), rows.shape[1], **settings)
 
 
@@ -293,8 +293,8 @@ def write_blocks(
 
     Raises:
         ConfigError: ``cell`` is not positive, or a number is out of range.
-        SceneError: There are no Gaussians, or the parts differ in SH degree or antialiasing, or have another kernel
-            degree or an origin.
+        SceneError: There are no Gaussians, the parts differ in SH degree or antialiasing, or a part has an origin or a
+            kernel degree other than 2.
         FormatError: The folder is not empty, or cannot be written.
     """
     if not is_number(cell) or not 0.0 < cell < math.inf:
@@ -321,7 +321,7 @@ def write_blocks(
 
 
 def _prepare_folder(target: Path) -> bool:
-    """Creates the folder of a new capture, or removes the files of a killed run from it. Returns whether it is new."""
+    """Creates the folder of a capture, or removes a killed run's files from an old folder. Returns True if created."""
     if (target / _INDEX).exists():
         raise FormatError(target, "holds a complete capture in blocks: give another folder, or delete this one")
     if target.is_dir() and unfinished_writes(target / _INDEX):
@@ -408,7 +408,7 @@ class _Writer:
             rows: Rows as from `packed`.
             edge: Edge length of the cubes, scene units.
             name: Beginning of the names of new files.
-            cells: File of each cube, by the cube's integer coordinates, mean / edge rounded down; new files are added.
+            cells: Maps the integer coordinates of a cube, floor(mean / edge), to the cube's file; new files are added.
         """
         keys: npt.NDArray[np.int64] = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
         low = keys.min(axis=0)
@@ -436,7 +436,7 @@ class _Writer:
                 file.write(ordered[end - count : end].astype("<f4", copy=False).tobytes())
 
     def _blocks(self, path: Path, depth: int) -> Iterator[Block]:
-        """Yields the blocks of one cube: one, or those of its eight parts if it has too many Gaussians.
+        """Yields one block for a cube; a cube with too many Gaussians yields the blocks of its eight parts instead.
 
         Args:
             path: File with the rows of the cube, which is removed.

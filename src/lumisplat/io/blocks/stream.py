@@ -33,7 +33,7 @@ BLOCK_SAMPLE = 2**16
 """Number of Gaussians sampled from a file to choose the edge length of cubes."""
 
 BLOCK_CELLS = 4096
-"""Largest number of cubes that may contain a sampled Gaussian, for the edge length that `PlyStream.cell` chooses."""
+"""`PlyStream.cell` chooses an edge length for which the sampled Gaussians lie in at most this many cubes."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -55,7 +55,8 @@ class PlyStream:
     _header: PlyHeader
     _vertex: PlyElement
     _activated: tuple[bool, bool]
-    """Two flags that `stored_activated` infers from a sample: scales are no logarithms, and opacities are no logits."""
+    """Two flags that `stored_activated` infers from a sample: True for linear scales, and True for opacities within
+    0..1."""
 
     def __iter__(self) -> Iterator[Gaussians]:
         """Yields the Gaussians of the file in chunks, in file order.
@@ -86,7 +87,7 @@ class PlyStream:
             _log.warning("%s: dropped %s of %s Gaussians: %s", os.fspath(self.path), f"{dropped:,}", whole, why)
 
     def _warn_rounding(self, rows: PlyRows, columns: SplatColumns) -> None:
-        """Logs if float32, in which blocks store positions, is too coarse for the positions of the first chunk."""
+        """Logs a warning if the positions of the first chunk lose precision; blocks store positions as float32."""
         with np.errstate(all="ignore"):
             width = float(np.median(columns.log_scales.max(axis=1)))
             width = math.exp(min(width, 100.0)) if columns.scales_are_logarithms else width
@@ -111,8 +112,8 @@ class PlyStream:
     def cell(self, block_max: int = BLOCK_GAUSSIANS_MAX) -> float:
         """Chooses the ``cell`` of `lumisplat.io.write_blocks`: the edge length of the cubes in scene units.
 
-        It is the smallest power of two with which a sample of the Gaussians lies in at most 4096 cubes, fewer for small
-        captures.
+        The edge length is the smallest power of two for which a sample of the Gaussians lies in at most 4096 cubes. The
+        limit is lower for small captures.
 
         Args:
             block_max: Largest number of Gaussians in a block, as for `lumisplat.io.write_blocks`.

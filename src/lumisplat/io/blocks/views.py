@@ -44,7 +44,7 @@ _DILATION_PX = _REACH * math.sqrt(0.3) + 1.0
 rounding."""
 
 _CUTS_MAX = 8
-"""Largest number of columns and of rows of windows that `plan_views` splits a view into, to fit into memory."""
+"""`plan_views` splits a view that exceeds the memory into at most this many columns and this many rows of windows."""
 
 
 class BlockPart(NamedTuple):
@@ -62,9 +62,9 @@ def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) ->
     Args:
         index: Index of the capture.
         camera: An undistorted pinhole. If it has a window, only blocks visible in the window are selected.
-        pixels: Coarser levels are selected for a block as long as their Gaussians, on average, cover at most this many
-            pixels at the block's nearest point. 0 selects the finest level everywhere; frames are then bit for bit
-            those of the whole capture.
+        pixels: Each block gets its coarsest level whose mean Gaussian size is at most this many pixels at the block's
+            nearest point. 0 selects the finest level everywhere; frames are then bit for bit equal to frames of the
+            whole capture.
 
     Raises:
         SceneError: The camera is not an undistorted pinhole, or has a rolling shutter.
@@ -217,8 +217,8 @@ class WorkerPlan:
     views: range
     """Indices of the views that the worker renders."""
     tiles: int
-    """Number of images to render: one for each view, or the number of windows that a view is split into to fit into
-    memory."""
+    """Number of images to render: one for each whole view, and one for each window of a view that exceeds the memory.
+    """
     held_bytes: int
     """Largest total size of blocks that are in memory at one time, measured in bytes on disk."""
     moved_bytes: int
@@ -275,7 +275,7 @@ def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_b
 
 
 def _windows(index: BlockIndex, camera: Camera, memory_bytes: int, pixels: float) -> list[list[BlockPart]]:
-    """Returns the blocks of a view; if they do not fit into memory, those of each window of the view.
+    """Returns one list with the blocks of a view or, if these exceed the memory, one list for each window of the view.
 
     The view is split into as few windows as fit, at most `_CUTS_MAX` per side.
     """

@@ -88,7 +88,7 @@ def read_colmap_images(path: PathLike) -> list[tuple[Camera, str]]:
 
 
 def count_colmap_images(folder: Path) -> int:
-    """Returns the number of images in a model, which all have a pose; 0 if the images file is damaged or missing."""
+    """Returns the number of images with a pose in a model; 0 if the images file is damaged or missing."""
     try:
         path = _file(folder, "images")
         with parsing(path, "a COLMAP sparse model"):
@@ -206,7 +206,7 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
 
 
 def _is_image(line: str) -> bool:
-    """Returns whether a line of images.txt describes an image. Other lines list 2D points, triples of numbers."""
+    """Returns whether a line of images.txt describes an image. Other lines list 2D points as triples of numbers."""
     words = line.split(maxsplit=9)
     return len(words) == 10 and (not is_number_word(words[9].split()[0]) or len(line.split()) % 3 != 0)
 

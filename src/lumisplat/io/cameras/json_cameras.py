@@ -1,9 +1,9 @@
 """Reads camera files in JSON, recognised by their content, and writes ``transforms.json``.
 
-Supported are the ``transforms.json`` of nerfstudio, instant-ngp and NeRF, and nerfstudio's ``camera_path.json``, whose
-poses are camera-to-world with OpenGL axes. INRIA's ``cameras.json`` has OpenCV axes and the principal point at the
-image centre. Poses must be rigid. Errors about one frame have texts such as "has no focal length", which `decode_frame`
-puts after "frame 3".
+Supported are ``transforms.json`` (nerfstudio, instant-ngp, NeRF), ``camera_path.json`` (nerfstudio) and
+``cameras.json`` (INRIA). The first two have camera-to-world poses with OpenGL axes. INRIA's files have OpenCV axes and
+the principal point at the image centre. Poses must be rigid. Errors about one frame have texts such as "has no focal
+length", which `decode_frame` puts after "frame 3".
 """
 
 from __future__ import annotations
@@ -73,9 +73,9 @@ def _number(values: Entry, name: str) -> float:
 
 
 def _number_array(values: object, shape: tuple[int, ...], name: str) -> Matrix:
-    """Converts the nested lists of the key ``name`` to an array; raises `SceneError` unless all numbers are finite.
+    """Converts nested lists to an array; raises `SceneError` if a number is not finite or the shape is wrong.
 
-    ``shape`` is the expected shape.
+    ``name`` is the key of the lists, for the message.
     """
     array = finite_numbers(values, shape)
     if array is None:

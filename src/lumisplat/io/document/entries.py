@@ -49,7 +49,8 @@ class SceneEntry:
     world_from_file: Doubles | None = None
     """Transform from the asset's file to the world, a similarity, shape (4, 4); None for lights."""
     _assets: tuple[Scene, ...] = field(default=(), repr=False)
-    """Scenes loaded from the entry's file, before and after its changes; kept so that edits need not load it again."""
+    """The entry's asset as loaded, then with crop box and other changes, then with its material. Later edits reuse
+    these scenes instead of loading the file again."""
     _poses: dict[float, tuple[Instance, ...]] = field(default_factory=dict[float, tuple[Instance, ...]], repr=False)
     """Cache of `at`: instances of an actor at the last requested time, so that equal times give identical objects."""
 
@@ -98,9 +99,10 @@ class EntryReader:
     materials: Mapping[str, Any]
     """Tables of the named materials, by name."""
     memory: dict[str, Scene] = field(default_factory=dict[str, Scene])
-    """Captures and meshes without a file, by the placeholder that entries give as their ``path``."""
+    """Captures and meshes without a file. The keys are placeholders that entries give as their ``path``."""
     environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
-    """Environment images by the entry's ``path``, which is a placeholder for images without a file."""
+    """Environment images. The keys are the ``path`` of entries: a file, or a placeholder for an image without a file.
+    """
     next_id: int = 0
     """Id for the next entry, larger than the ids of all entries so far, including removed ones."""
     _assets: Assets | None = None
@@ -111,14 +113,15 @@ class EntryReader:
     ) -> SceneEntry:
         """Reads a table, and returns an entry with a copy of the table.
 
-        A mesh or actor without a placement is inserted into ``insertion_scene``, which must not be empty, as by
-        `lumisplat.insert`. The resulting placement is written to the entry's table, so that the entry stays there.
+        A mesh or actor without a placement is inserted into ``insertion_scene`` as by `lumisplat.insert`. The resulting
+        placement is written to the entry's table, so that later edits do not move the entry.
 
         Args:
             number: Id of the entry.
             kind: Kind of the entry.
             values: The table.
-            insertion_scene: Scene with captures; None leaves an entry without a placement where its file has it.
+            insertion_scene: Scene with at least one capture. None leaves an entry without a placement at the position
+                that its file states.
 
         Raises:
             FormatError: A key or value is invalid, or a file cannot be read.
@@ -196,7 +199,7 @@ def explicit_table(entry: SceneEntry) -> dict[str, Any]:
 
 
 def visible_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple[Scene, list[SceneEntry]]:
-    """Returns the scene of all visible entries at a time, and the entry that each instance belongs to, captures first.
+    """Returns the scene of all visible entries at a time, and the entry of each of its captures, then of each mesh.
 
     Args:
         entries: Entries of the document.

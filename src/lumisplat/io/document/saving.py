@@ -36,13 +36,13 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 @dataclass(slots=True)
 class MemoryEntries:
-    """Tables of a scene that a program created, and the assets that they refer to by placeholder paths."""
+    """Tables of a scene that a program created, and the assets to which the tables refer by placeholder paths."""
 
     up: Vector
     top: dict[str, Any]
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
     assets: dict[str, Scene] = field(default_factory=dict[str, Scene])
-    """Captures and meshes by the placeholder path that stands for them in the tables, such as ``<capture 0>``."""
+    """Captures and meshes. The keys are their placeholder paths in the tables, such as ``<capture 0>``."""
     environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     actors: tuple[Actor, ...] = ()
     problems: list[str] = field(default_factory=list[str])
@@ -52,7 +52,7 @@ class MemoryEntries:
 def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
     """Returns the entries of a scene in memory.
 
-    A scene file has one environment: the enabled one of the scene, or else the scene's first one.
+    A scene file has one environment: the scene's enabled environment or, if none is enabled, its first environment.
 
     Raises:
         SceneError: ``scene`` has another type.
@@ -174,8 +174,7 @@ def saved_assets(
         entries: Entries of a document.
         reader: The reader that has the assets in memory.
         target: The scene file that will be written.
-        overwrite: Whether existing files may be replaced, except those that entries refer to. Otherwise new files get
-            unused names.
+        overwrite: True replaces existing files unless an entry refers to them. False gives new files unused names.
 
     Raises:
         FormatError: The object of an actor cannot be stored in a file, or a file cannot be written.
@@ -199,7 +198,8 @@ class _Folder:
     path: Path
     reader: EntryReader
     used: set[str]
-    """Paths that new files must not take: files that entries refer to or that were written, symbolic links resolved."""
+    """Paths that new files must not take: those of files already written, and of files to which entries refer.
+    Symbolic links are resolved."""
     overwrite: bool
     _files: dict[str, Path] = field(default_factory=dict[str, Path])
 

@@ -104,7 +104,7 @@ class SceneDocument:
 
     @classmethod
     def of(cls, scene: Scene | Animation | Gaussians | Mesh) -> SceneDocument:
-        """Creates a document from a scene made by a program; its assets are written beside the file when it is saved.
+        """Creates a document from a scene made by a program; saving it also saves the scene's assets beside the file.
 
         Cameras that a scene file cannot store are left out, and listed in ``problems``.
 
@@ -310,7 +310,7 @@ class SceneDocument:
         return replace(self, entries=entries, top=dict(self.top) | {"up": list(now)}, _reader=reader, _scenes={})
 
     def split(self, number: int) -> SceneDocument:
-        """Returns a document with a mesh entry replaced by one entry for each mesh, and for each light, in its file.
+        """Returns a document in which a mesh entry is split into one entry for each mesh and each light of its file.
 
         Raises:
             SceneError: The file has only one mesh.
@@ -410,7 +410,7 @@ class SceneDocument:
             Path(temporary).write_bytes(text)
 
     def _written(self, entry: SceneEntry) -> dict[str, Any]:
-        """Returns the table of an entry to save. Objects that were inserted among captures get their placement."""
+        """Returns an entry's table for saving, with a placement for an object that was inserted among captures."""
         beside = any(other.kind == "splats" for other in self.entries)
         return explicit_table(entry) if beside else dict(entry.table)
 
@@ -574,14 +574,14 @@ def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, 
 def _rotated_environment(
     reader: EntryReader, entry: SceneEntry, rotation: Doubles, rotation_of_up: Doubles, before: Vector
 ) -> SceneEntry:
-    """Rotates an environment from the old to the new up direction if the top of its image points to the old one.
+    """Returns an environment rotated to a new up direction, if the top of its image points to the old up direction.
 
-    Otherwise the environment is returned unchanged.
+    An environment with any other orientation is returned unchanged.
 
     Args:
         reader: Reader with the new up direction.
         entry: The environment.
-        rotation: Rotation of the environment, shape (3, 3).
+        rotation: Rotation of the environment before the change, shape (3, 3).
         rotation_of_up: Rotation from the old to the new up direction, shape (3, 3).
         before: The old up direction, a unit vector.
     """
@@ -599,7 +599,7 @@ def _is_upright(linear: Doubles, up: Vector) -> bool:
 
 
 def _foot(entry: SceneEntry, up: Vector) -> Doubles:
-    """Returns the point below the centre of an entry's box, at the height of its lowest point, in world space."""
+    """Returns the point vertically below the centre of an entry's box, at the entry's lowest height, in world space."""
     instances = entry.at(0.0)
     splats = [instance for instance in instances if isinstance(instance, SplatInstance)]
     meshes = [instance for instance in instances if isinstance(instance, MeshInstance)]

@@ -32,8 +32,8 @@ def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[
             memory than the file has bytes.
 
     Raises:
-        FormatError: The file is a folder, a device or a pipe, cannot be read, is no archive of arrays without Python
-            objects, or its arrays take far more memory than a file of its size can hold.
+        FormatError: The file cannot be read, or is a folder, a device or a pipe. Or the file is no NumPy archive, holds
+            Python objects, or claims far more memory than a file of its size can hold.
         MissingFileError: There is no such file.
     """
     try:

@@ -22,7 +22,8 @@ except ImportError:  # Windows has no file locks, so temporary files of killed p
     fcntl = None
 
 _STEM_BYTES = 64
-"""Largest number of bytes of the final name's stem in the temporary name, which must fit into 255 bytes in all."""
+"""A temporary name contains at most this many bytes of the final name's stem, because file names are limited to 255
+bytes."""
 _TEMPORARY = re.compile(r"\..*\.[0-9a-f]{12}\.lumisplat(\.[^.]*)?", re.DOTALL)
 
 _tidied: set[Path] = set()
@@ -62,7 +63,7 @@ def atomic_write(path: PathLike) -> Generator[Path]:
 
 @contextmanager
 def written_together(folder: Path) -> Generator[list[Path]]:
-    """Removes all files written in the block, and the folders made for these files, if the block raises.
+    """If the block raises, removes all files that the block wrote, and the folders made for these files.
 
     Args:
         folder: Folder of the files; they may also lie in its direct subfolders.
@@ -101,7 +102,7 @@ def check_can_be_written(path: PathLike) -> None:
 
 @contextmanager
 def _folder_of(target: Path) -> Generator[None]:
-    """Creates the missing parent folders of a file, and removes those that are still empty if the block raises."""
+    """Creates the missing parent folders of a file. If the block raises, removes created folders that are empty."""
     missing = [folder for folder in target.parents if not folder.exists()]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -164,7 +165,7 @@ def _reserved(target: Path) -> Generator[Path]:
 
 
 def _locked_file(target: Path) -> tuple[Path, int]:
-    """Creates an empty temporary file for ``target``; returns its path and a file descriptor that locks it."""
+    """Creates an empty temporary file for ``target``. Returns the file's path and a descriptor that holds its lock."""
     stem = os.fsdecode(os.fsencode(target.stem)[:_STEM_BYTES])
     while True:
         temporary = target.with_name(f".{stem}.{secrets.token_hex(6)}.lumisplat{target.suffix}")

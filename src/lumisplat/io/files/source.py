@@ -44,9 +44,9 @@ STREAMED_SOG = "lod-meta.json"
 BLOCKS = "blocks.json"
 """Name of the file that lists the blocks of a capture stored in blocks."""
 _IMAGES = ("transforms.json", "transforms_train.json", "images", "sparse")
-"""Names of files and folders in a folder of training images, by which an error tells it from a capture."""
+"""Names of files and folders by which an error message recognises a folder of training images instead of a capture."""
 _INNER_LISTED = 8
-"""Largest number of captures that an error lists about a folder without a capture of its own."""
+"""If a folder is no capture but contains captures, the error lists at most this many of them."""
 
 
 def read_bytes(path: PathLike, *, referrer: PathLike | None = None) -> bytes:
@@ -328,9 +328,7 @@ def may_leave_folder() -> bool:
 
 
 def leaves_folder(path: PathLike, file: Path, folder: Path | None = None) -> bool:
-    """Returns whether a reference must be refused: its file is outside of a folder, and outside files are not allowed.
-
-    `references_outside` allows them.
+    """Returns True if a referenced file is outside of a folder and `references_outside` does not allow outside files.
 
     Args:
         path: The file that contains the reference.
@@ -344,8 +342,8 @@ def leaves_folder(path: PathLike, file: Path, folder: Path | None = None) -> boo
 def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Path:
     """Returns the path of a file that another file refers to; the file need not exist.
 
-    Symbolic links may lead anywhere, because the user made them; the names come from the file, which is not trusted.
-    Backslashes of Windows are read as slashes unless a file with that literal name exists.
+    Symbolic links may lead out of the folder, because the user made them. Names may not, because their file is not
+    trusted. Backslashes of Windows are read as slashes unless a file with that literal name exists.
 
     Args:
         path: The file that contains the reference.
@@ -411,7 +409,7 @@ def format_of(path: Path) -> str:
 
 
 def _inner_sog(folder: Path) -> str:
-    """Lists for a message the SOG captures in a folder and its direct subfolders: at most eight, and how many more."""
+    """Returns a text that names up to eight SOG captures in a folder and its direct subfolders, and counts the rest."""
     inner = sorted(str(meta.relative_to(folder)) for meta in (*folder.glob("*/meta.json"), *folder.glob("*.sog")))
     more = f" and {len(inner) - _INNER_LISTED} more" if len(inner) > _INNER_LISTED else ""
     return ", ".join(inner[:_INNER_LISTED]) + more

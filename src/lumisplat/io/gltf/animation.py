@@ -251,7 +251,7 @@ def _read_skeleton(file: GltfFile) -> Skeleton:
 
 
 def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_RigPrimitive]:
-    """Yields the triangle primitives of the meshes of nodes; a mesh with several instances is yielded once for each."""
+    """Yields the triangle primitives of the given nodes' meshes, once per instance (EXT_mesh_gpu_instancing)."""
     materials = GltfMaterials(file)
     morphed = {track.node for clip in clips for track in clip.tracks if track.channel is Channel.WEIGHTS}
     for index in nodes:
@@ -284,9 +284,9 @@ def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart
 
     Args:
         raw: Arrays of the primitive.
-        skin: Skin of its node; for a node without a skin, the node itself as the only joint.
-        node: Index of the node, whose morph weights apply.
-        weights: Default weights of its morph targets.
+        skin: Skin of the node; for a node without a skin, the node itself as the only joint.
+        node: Index of the node; an animation of this node's morph weights applies to the part.
+        weights: Default weights of the primitive's morph targets.
     """
     count = len(raw.positions)
     influences = raw.influences or Influences(np.zeros((count, 1), np.int32), np.ones((count, 1), np.float32))
@@ -302,7 +302,7 @@ def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart
 
 
 def _morphs(raw: RawPrimitive, node: int, weights: Doubles) -> MorphTargets | None:
-    """Returns the morph targets of a primitive, with zeros where a target has no offsets; None if it has no target."""
+    """Returns a primitive's morph targets, zero where a target has no offsets; None if the primitive has no target."""
     numbers = sorted(raw.morph_positions.keys() | raw.morph_normals.keys())
     if not numbers:
         return None
@@ -450,7 +450,7 @@ class _AnimationReader:
         return times[(times >= 0.0) & (times <= max(even[-1], self._clip.duration))]
 
     def _captures(self, nodes: list[int]) -> Iterator[Actor]:
-        """Yields an actor for each capture of the nodes ``nodes``, which the animation moves."""
+        """Yields an actor for each capture of the animated nodes ``nodes``."""
         captures = GltfCaptures(self._file, self._drop_invalid)
         moving = [index for index in nodes if captures.is_in(index)]
         times = self._times() if moving else np.zeros(0)
@@ -500,7 +500,7 @@ class _AnimationReader:
 
 
 def _moved_nodes(file: GltfFile, clip: Clip) -> set[int]:
-    """Returns the nodes whose world transform an animation changes: those that it moves and their descendants."""
+    """Returns the indices of the nodes that an animation moves, and of all their descendants, which move along."""
     moved = {track.node for track in clip.tracks if track.channel is not Channel.WEIGHTS}
     tree = hierarchy(file)
     for index in tree.order:  # parents first

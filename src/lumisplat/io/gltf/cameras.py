@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     import pygltflib
 
 _FAR = 1000.0
-"""Far plane of an orthographic camera in a scene without objects, as a multiple of its near plane; glTF needs one."""
+"""Far plane of an orthographic camera in a scene without objects, as a multiple of the near plane. glTF requires a far
+plane."""
 _CENTRE_TOLERANCE = 1e-6
 """Distance in pixels up to which a principal point counts as being in the image centre."""
 
@@ -142,7 +143,7 @@ def _positive(lens: object, name: str) -> float:
 
 
 def _can_hold_camera(camera: Camera) -> bool:
-    """Returns whether glTF can store a camera: a pinhole or orthographic one without distortion."""
+    """Returns whether glTF can store a camera. It can store pinhole and orthographic cameras without distortion."""
     return camera.model is not CameraModel.FISHEYE and not camera.is_distorted
 
 

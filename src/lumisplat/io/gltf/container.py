@@ -133,7 +133,7 @@ class GltfFile:
         check_expansion(self.path, "its accessors", self._decoded_bytes, self.stored_bytes)
 
     def view_bytes(self, index: object, referrer: str) -> tuple[memoryview, int | None]:
-        """Returns the bytes of a buffer view and the view's stride in bytes, None if it states none.
+        """Returns the bytes of a buffer view, and its stride in bytes or None if the view states no stride.
 
         Raises:
             FormatError: The index is invalid, or the view does not fit into its buffer.

@@ -55,17 +55,17 @@ Attributes with these names in files of other programs are ignored.
 
 _DISPLAY = ("srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb", "BT.709")
 _LINEAR = ("lin_rec709_display", "BT.709-linear")
-"""Names of the linear colour space in ``colorSpace``: that of the extension, and others from its drafts."""
+"""Values of ``colorSpace`` for linear colours: the name in the final extension, and names in its drafts."""
 
 _Numbers = dict[tuple[int, bool], str]
-"""Number formats that an attribute may have: glTF component type and ``normalized``, each with a name for messages."""
+"""Number formats that an attribute may have. Maps (glTF component type, ``normalized``) to a name for messages."""
 
 _SAME_TRANSFORM = 1e-6
-"""Largest difference of the elements of two node transforms that count as equal, as quaternions in files are rounded.
+"""Two node transforms count as equal if no element differs by more than this, because quaternions in files are rounded.
 """
 
 _DEGENERATE = 1e-9
-"""Determinant of a node's three axes, each scaled to unit length, up to which the node flattens its Gaussians."""
+"""A node flattens its Gaussians if the determinant of its three axes, each scaled to unit length, is at most this."""
 
 
 class _Layout(NamedTuple):
@@ -103,11 +103,11 @@ def holds_gaussians(primitive: Any) -> bool:
 
 
 def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> Gaussians:
-    """Reads the Gaussians of a primitive into the axes of captures; its material and COLOR_0 are ignored.
+    """Reads the Gaussians of a primitive into the axes of captures; the primitive's material and COLOR_0 are ignored.
 
-    Linear colours are encoded as sRGB, as in captures: exactly if they do not depend on the view, else by the closest
-    SH of the same degree. Overlapping Gaussians then blend in a different space than they were trained for, which a log
-    line states.
+    Linear colours are encoded as sRGB, as in captures: exactly if the colours do not depend on the view, else by the
+    closest SH of the same degree. A log line warns that overlapping Gaussians then blend in a different colour space
+    than in training.
 
     Args:
         primitive: A primitive for which `holds_gaussians` is true.
@@ -171,7 +171,7 @@ def _check_extension(primitive: GltfPrimitive) -> bool:
 
 
 def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
-    """Returns the stored scales of N Gaussians, shape (N, 3), and whether they are logarithms, as any is negative."""
+    """Returns the stored scales of N Gaussians, shape (N, 3), and True (they are logarithms) if any is negative."""
     scales = _attribute(primitive, _SCALE, count)
     negative = int(np.count_nonzero(scales < 0.0))
     if negative:
@@ -356,8 +356,7 @@ class GltfCaptures:
 def single_capture(instance: SplatInstance) -> Gaussians:
     """Returns an instance's Gaussians with its transform applied, in the axes of captures (y down).
 
-    If the transform is only the rotation of the capture's stated up direction to y, the Gaussians are returned
-    unchanged.
+    If the transform only rotates the capture's stated up direction to y, the Gaussians are returned unchanged.
 
     Raises:
         SceneError: The Gaussians are too far away or too large.
@@ -433,7 +432,7 @@ def _fallback_colors(gaussians: Gaussians) -> np.ndarray[Any, np.dtype[np.uint8]
 
 
 def _settings_of(gaussians: Gaussians) -> dict[str, Any]:
-    """Returns the antialiasing, kernel degree, orientation and comments of a capture for extras; not defaults."""
+    """Returns extras of a capture: antialiasing, kernel degree, orientation and comments, without default values."""
     settings: dict[str, Any] = {"antialiased": True} if gaussians.antialiased else {}
     if gaussians.kernel_degree != KERNEL_DEGREE:
         settings["kernel_degree"] = gaussians.kernel_degree

@@ -307,8 +307,8 @@ class GltfMaterials:
 def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
     """Returns the transformed texture coordinates of a primitive's V vertices, shape (V, 2).
 
-    They are those of the base colour texture, or else of the material's first texture. None is returned if the
-    primitive lacks these coordinates.
+    The base colour texture, or without one the material's first texture, selects the coordinates. None is returned if
+    the primitive lacks the selected coordinates.
 
     Raises:
         FormatError: The coordinates or the transform are malformed.
@@ -422,7 +422,7 @@ class MaterialWriter:
     def _transmission(self, material: MaterialPbr, texture: _Item | None) -> _Item:
         """Returns KHR_materials_transmission, and for a solid also KHR_materials_volume with thickness 1.
 
-        glTF has no flag for solids: any thickness above 0 means one.
+        glTF has no flag for solids: any thickness above 0 means a solid.
         """
         factors = _without_none({"transmissionFactor": material.transmission, "transmissionTexture": texture})
         extensions = self._document.use("KHR_materials_transmission", **factors)

@@ -268,7 +268,7 @@ def _read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: i
 
     Args:
         primitive: The primitive.
-        vertex_count: Its number of vertices, V.
+        vertex_count: Number of the primitive's vertices, V.
         joint_count: Number of joints of the skin.
     """
     sets: list[Influences] = []

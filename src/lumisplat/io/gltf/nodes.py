@@ -30,7 +30,8 @@ _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scal
 
 INSTANCING = "EXT_mesh_gpu_instancing"
 _INSTANCE_BYTES = 1024
-"""Approximate memory of one instance in bytes, to refuse files that ask for far more instances than their size fits."""
+"""Approximate memory of one instance in bytes. A file is refused if its instances take far more memory than its size
+allows."""
 
 
 def node_label(file: GltfFile, index: int) -> str:
@@ -126,7 +127,7 @@ def node_matrix(file: GltfFile, index: int) -> Matrix | None:
 def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
     """Returns translation (3,), rotation as a unit quaternion wxyz (4,), and scale (3,) of a node without a matrix.
 
-    Those that the node does not state have their glTF defaults.
+    Values that the node does not state have their glTF defaults.
 
     Raises:
         FormatError: A value has the wrong count or is not finite, or the rotation has zero length.
@@ -233,12 +234,12 @@ def lumisplat_extras(item: Any) -> dict[str, Any] | None:
 
 
 def with_extras(item: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
-    """Returns a JSON object with ``stored`` as Lumisplat's settings in its ``extras``; unchanged if that is empty."""
+    """Returns a JSON object with ``stored`` as Lumisplat's settings in ``extras``, unless ``stored`` is empty."""
     return item | ({"extras": {EXTRAS_KEY: stored}} if stored else {})
 
 
 def light_extras(light: Light) -> dict[str, Any]:
-    """Returns the light fields to store in extras because glTF lacks them: size and shadow settings; not defaults."""
+    """Returns extras for a light: its size and shadow settings, which glTF lacks, without default values."""
     return _non_default_fields(light, LIGHT_EXTRAS)
 
 

@@ -56,7 +56,8 @@ _READABLE = (
 """Extensions that a file may list as required; material extensions may be required, too, even if not supported."""
 
 _ORTHOGONAL = 1e-6
-"""Absolute cosine of the angle between two axes of a transform up to which it has no shear, which glTF cannot store."""
+"""Largest absolute cosine of the angle between two axes of a transform that counts as free of shear. glTF cannot store
+shear."""
 
 
 def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussians:
@@ -140,7 +141,7 @@ def holds_one_capture(path: PathLike) -> bool:
 
 
 def _has_settings(file: GltfFile, nodes: Iterable[int]) -> bool:
-    """Returns whether any of the nodes has a material, SH degree or shadow catcher flag for its capture in extras."""
+    """Returns whether the extras of any node hold a material, SH degree or shadow catcher flag for its capture."""
     return any(instance_settings(lumisplat_extras(file.model.nodes[index])) for index in nodes)
 
 
@@ -271,7 +272,7 @@ def _shears(matrix: Matrix) -> bool:
 
 
 def _capture_losses(splats: Sequence[SplatInstance]) -> list[str]:
-    """Returns a phrase for each capture feature that is written to extras, so that other programs do not read it."""
+    """Returns a phrase for each capture feature that only Lumisplat can read back, because glTF stores it in extras."""
     relit = sum(splat.material is not None for splat in splats)
     flagged = sum(splat.gaussians.antialiased for splat in splats)
     incident = any(splat.gaussians.incident is not None for splat in splats)

@@ -70,7 +70,7 @@ class Textures(NamedTuple):
     """Textures of one material, all with the texture coordinates of its first texture."""
 
     uv_transform: UvTransform
-    """Texture coordinates of the material's first texture, which all textures in ``indices`` have."""
+    """Texture coordinates of the material's first texture. All textures in ``indices`` use these coordinates."""
     indices: dict[str, int]
     """Index of each texture in the file's ``textures``, by the name of the material field, such as ``normal_texture``.
     """
@@ -133,7 +133,7 @@ def specular_glossiness(material: pygltflib.Material) -> dict[str, Any] | None:
     """Returns a material's KHR_materials_pbrSpecularGlossiness object, unless metallic-roughness takes precedence.
 
     None is returned for a material without the extension, and for one with metallic-roughness values. Writers that give
-    both intend metallic-roughness for programs without the extension.
+    both kinds of values intend metallic-roughness for programs that cannot read the extension.
     """
     found: dict[str, Any] | None = (material.extensions or {}).get("KHR_materials_pbrSpecularGlossiness")
     pbr = material.pbrMetallicRoughness
@@ -166,9 +166,9 @@ def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
 
 
 def texture_extension(texture: pygltflib.Texture) -> str | None:
-    """Returns the extension that an unreadable texture needs: its only image is in an unsupported format.
+    """Returns the name of the extension that defines the format of a texture whose only image is unreadable.
 
-    None if the texture has a readable image (PNG, JPEG or WebP).
+    Returns None for a texture with a readable image (PNG, JPEG or WebP).
     """
     extensions: dict[str, Any] = texture.extensions or {}
     if texture.source is not None or "EXT_texture_webp" in extensions:

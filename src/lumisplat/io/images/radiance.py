@@ -38,7 +38,8 @@ LINEAR = (".exr", ".hdr", ".pic")
 
 
 _NOTICEABLE = 1e-3
-"""Fraction of an image's total that its negative values may sum up to without a log line; filters ring that much."""
+"""Negative values are logged only if their sum exceeds this fraction of the image's sum. Ringing of filters stays
+below it."""
 
 
 def read_radiance(path: PathLike) -> FloatArray:
@@ -102,7 +103,7 @@ class _Header(NamedTuple):
     width: int
     height: int
     exposure: npt.NDArray[np.float64]
-    """Product of the header's exposures and colour corrections, by which pixels are divided, shape (3,)."""
+    """Divisor of the pixels, the product of the header's exposures and colour corrections, shape (3,)."""
     size: int
     """Length of the header, bytes."""
 
@@ -208,7 +209,7 @@ def _read_channels(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uin
 def _read_repeats(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], int]:
     """Decodes the older encoding of a row, in which a pixel (1, 1, 1, n) repeats the pixel before it n times.
 
-    A second pixel (1, 1, 1, n) in succession repeats it 256 n times.
+    A second such pixel in succession stands for 256 n further repeats.
     """
     row, shift = bytearray(), 0
     while len(row) < 4 * width:

@@ -60,8 +60,8 @@ def decode_texture(
     Args:
         data: The encoded image.
         path: File to name in errors.
-        label: Name of the image inside of that file, for errors; None if the file is the image.
-        total: Running total of the texture sizes of a file, which limits their memory; None limits only this image.
+        label: Name of the image within the file at ``path``, for errors; None if the file is the image.
+        total: Byte counter that limits the memory of all textures of one file; None limits only this image.
 
     Returns:
         sRGB-encoded texels, shape (H, W, 3), or (H, W, 4) if the image has transparency; row 0 at the top.

@@ -28,9 +28,9 @@ _PALETTE_PIXELS = 100_000
 """Number of pixels, sampled from all frames, from which a GIF palette is chosen. More make no visible difference."""
 
 _VIDEO_FPS_MAX = 240.0
-"""Largest frames per second of a video, which H.264 level 5.1 allows at common sizes."""
+"""Largest frames per second of a video; H.264 level 5.1 allows this rate at common sizes."""
 _FPS_DENOMINATOR = 1001
-"""Largest denominator to which frame rates are rounded as fractions: 24, 12.5 and 30000/1001 stay exact."""
+"""Frame rates are rounded to fractions with at most this denominator: 24, 12.5 and 30000/1001 stay exact."""
 _QUALITY = {"crf": "16", "preset": "medium"}
 """x264 options. At constant rate factor 16, compression is hardly visible; x264's default is 23."""
 _BT709 = 1
@@ -167,6 +167,6 @@ def _encode(av: Any, path: Path, frames_8bit: Iterable[_Bytes], shape: tuple[int
 
 
 def _even(frame_8bit: _Bytes) -> _Bytes:
-    """Returns the frame with an even number of rows and columns: the last one is repeated if the number is odd."""
+    """Returns the frame with even height and width: if the number of rows or columns is odd, the last is repeated."""
     height, width, _ = frame_8bit.shape
     return np.pad(frame_8bit, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

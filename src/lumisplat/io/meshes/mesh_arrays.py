@@ -147,7 +147,7 @@ def material_for_uvs(path: PathLike, material: Material, uvs: FloatArray | None,
 
 
 def relative_to_origin(path: PathLike, positions: npt.NDArray[np.floating]) -> tuple[FloatArray, Vector]:
-    """Returns positions as float32 relative to an origin, and the origin, which is zero if float32 is fine enough.
+    """Returns float32 positions relative to an origin, and the origin: zero if float32 is precise enough without one.
 
     An origin other than zero is logged.
 

@@ -46,7 +46,7 @@ def read_ply_mesh(header: PlyHeader) -> Mesh:
     linear. Texture coordinates have v up, as MeshLab and Blender write them.
 
     Args:
-        header: Header of a file with vertices and faces or strips, the vertices first.
+        header: Header of a file that has vertices, followed by faces or triangle strips.
 
     Raises:
         FormatError: The file is malformed, truncated or has no faces, or its texture is missing or corrupt.

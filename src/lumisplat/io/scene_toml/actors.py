@@ -80,7 +80,8 @@ _KEY_OWNERS = {
     "vertex_colors": "a rig",
     "fps": "a folder of frames",
 }
-"""Keys of ``[[actors]]`` that apply only to some kinds of files, each with the words for these kinds in messages."""
+"""Keys of ``[[actors]]`` that apply to some kinds of files only, each with a phrase that names these kinds in
+messages."""
 
 Load = Callable[..., Gaussians | Mesh | Scene]
 """Loads a file by its path; ``lod`` and ``budget`` are passed too if the entry gives them."""
@@ -94,7 +95,8 @@ def read_actors(document: TomlTable, load: Load, scene: Scene) -> list[Actor]:
     Args:
         document: Top-level table of the scene file.
         load: Reads one capture or mesh.
-        scene: The static scene. An actor without a placement is inserted into its captures, beside earlier actors.
+        scene: The static scene. An actor without a placement is inserted among the scene's captures, beside earlier
+            actors.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
@@ -173,7 +175,7 @@ class Subjects:
     load: Load
     _subjects: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])
     _captures: set[Path] = field(default_factory=set[Path])
-    """Files that hold captures, whose up direction is that of the capture; files of all other actors are y up."""
+    """Actor files that hold captures. These have the up direction of the capture; all other actor files are y up."""
 
     def has_y_up(self, table: TomlTable, given: Values) -> bool:
         """Returns whether the actor file of an entry is y up: False for captures and folders of captures, else True.

@@ -167,7 +167,7 @@ class Assets:
     up: Vector
     """Unit vector that points up in the scene."""
     memory: Mapping[str, Scene] = field(default_factory=dict[str, Scene])
-    """Captures and meshes without a file, by the placeholder that entries give as their ``path``."""
+    """Captures and meshes without a file. The keys are placeholders that entries give as their ``path``."""
     _cache: WeakValueDictionary[_Key, Scene] = field(default_factory=WeakValueDictionary[_Key, Scene])
     """Loaded and changed assets, weakly referenced; a key has the file, the entry's changes and its material."""
 
@@ -190,7 +190,7 @@ class Assets:
             raise table.failed(error) from None
 
     def meshes(self, table: TomlTable, existing: Scene | None = None) -> PlacedEntry:
-        """Reads an entry of ``[[meshes]]``, and places its meshes, lights and any captures of its file in the world.
+        """Reads an entry of ``[[meshes]]``, and places the meshes, lights and captures of its file in the world.
 
         Args:
             table: The entry.

@@ -121,7 +121,7 @@ def _hint(name: str, known: Sequence[str]) -> str:
 def _setting(table: TomlTable, setting: Setting, base: object) -> object:
     """Converts the TOML value of a setting to its Python type. Ranges are checked later, by the settings class.
 
-    ``base`` is the setting's value before, from which a group of settings takes its missing keys.
+    ``base`` is the setting's previous value; a group of settings takes missing keys from it.
     """
     key, value = setting.name, table.values[setting.name]
     none = _word_for_none(setting) if setting.is_optional else ""
@@ -169,7 +169,7 @@ def changed_settings(config: DataclassInstance) -> dict[str, Any]:
 
 
 def _table(config: object, base: object = None) -> dict[str, Any]:
-    """Converts settings to nested TOML tables; if ``base`` is given, only those whose value differs from it there."""
+    """Converts settings to nested TOML tables; with ``base``, only settings that differ from ``base`` are included."""
     table: dict[str, Any] = {}
     for one in settings_of(type(config)):
         value, before = getattr(config, one.name), getattr(base, one.name, None)

@@ -25,7 +25,7 @@ MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": Ma
 _SHARED = ("base_color", "base_color_texture", "name")
 """Fields that `MaterialPbr` and `MaterialSimple` have in common.
 
-A material table of the one type takes them from a file's material of the other type."""
+A material table takes these fields even from a file's material of the other type."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class MaterialTable:
 
         Values that the table does not set are taken from ``file_material`` if it has the same type. If it has another
         type, only base colour, base colour texture and name are taken. If the table sets a base colour texture and the
-        surface has the default grey, the base colour becomes white, so that it does not darken the texture.
+        surface has the default grey, the base colour becomes white, so that the grey does not darken the texture.
         """
         if isinstance(file_material, self.kind):
             is_grey = isinstance(file_material, MaterialPbr) and file_material.base_color == MaterialPbr().base_color

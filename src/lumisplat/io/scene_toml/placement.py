@@ -1,7 +1,7 @@
 """Places the entries of a scene file (scale, then rotation, then translation), and finds the scene's up direction.
 
-The up direction is the ``up`` at the top of the file, or else what a capture states, or else a guess. What a capture
-states is read without its Gaussians where the format allows it.
+The up direction is the ``up`` at the top of the scene file, else the one that a capture states, else a guess. Where the
+format allows it, a capture's up direction is read without its Gaussians.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ STANDING = {
 
 
 _ROUNDING = 1e-15
-"""Deviation from length 1 up to which ``up`` in a scene file counts as normalised by a program."""
+"""The ``up`` of a scene file counts as normalised by a program if its length differs from 1 by at most this."""
 _ROTATION_KEYS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
 
 
@@ -153,7 +153,7 @@ def insert_entry(
 
 
 def stand_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
-    """Rotates an actor without a stated rotation upright, and logs that. Its keyframes must not rotate it.
+    """Rotates an actor upright and logs it, for actors with no rotation in their placement or their keyframes.
 
     Returns:
         The actor's ``world_from_file``, shape (4, 4).
@@ -337,7 +337,7 @@ def scene_up(document: TomlTable) -> Vector:
 
 
 def _stated(table: TomlTable) -> Vector | None:
-    """Returns the up direction that an entry's capture states, rotated as the entry says; None if it states none.
+    """Returns the up direction that an entry's capture states, rotated with the entry; None if none is stated.
 
     None is also returned for an entry with ``upright`` or ``look_at``, because its rotation depends on the scene's up.
     """

@@ -3,7 +3,7 @@
 Error messages name the line and the key, and suggest the closest allowed key. ``tomllib`` gives no line numbers, so
 this module finds them.
 
-The keys of a table for a scene dataclass are the names of its fields; angles are in degrees.
+The keys of a table for a scene dataclass are the names of the dataclass's fields; angles are in degrees.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.source import PathLike, TextureBytes, is_list, is_object, named_path, read_text
 
 TOML_KEY_PARTS_MAX = 32
-"""Largest number of parts of a dotted key; scene files use up to three. ``tomllib`` takes time quadratic in their
-number."""
+"""Largest number of parts of a dotted key; scene files use up to three. The time that ``tomllib`` takes is quadratic
+in the number of parts."""
 
 KeyPath = tuple[str | int, ...]
 """Keys and array indices that lead from the top of the document to a value, such as ``("splats", 1, "position")``."""
@@ -129,7 +129,7 @@ class _Scanner:
         return keys, line
 
     def _pair(self, table: KeyPath) -> None:
-        """Reads ``key = value`` and records the key's line; ``table`` is the path of the table that contains it."""
+        """Reads ``key = value`` and records the key's line; ``table`` is the path of the table with this pair."""
         keys, line = self._keys("=")
         for depth in range(len(keys)):
             self.lines.setdefault((*table, *keys[: depth + 1]), line)
@@ -280,7 +280,7 @@ class TomlTable:
         """Creates a table in memory, as if it were part of a file.
 
         Args:
-            path: File whose folder relative paths start from.
+            path: File that the table belongs to; relative paths start from the file's folder.
             values: Values of the table.
             *where: Keys that lead to the table, for error messages.
         """
@@ -293,7 +293,7 @@ class TomlTable:
 
     @property
     def textures(self) -> TextureBytes:
-        """Counter of the bytes of all textures that this file names, which limits their total."""
+        """Byte counter that limits the total size of all textures that this file names."""
         return self._source.textures
 
     @property
@@ -314,7 +314,7 @@ class TomlTable:
     def failed(self, error: LumisplatError) -> FormatError:
         """Creates a `FormatError` with the text of ``error``, which a class raised for values of this table.
 
-        The message names the line of the first key of the table that the text mentions.
+        The text may mention keys of the table; the message names the line of the first of these keys.
         """
         named = (word for word in re.findall(r"\w+", str(error)) if word in self.values)
         return self.error(str(error), next(named, None))
@@ -431,10 +431,12 @@ _KINDS: dict[str, Kind] = {
     "choice": TEXT,
 }
 _FIELD_KINDS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
-"""TOML types of two fields that their Python type does not tell. Other such fields are images, given by file name."""
+"""TOML types of two fields whose Python types have no entry in `_KINDS`. All other such fields are images, given by
+file name."""
 
 DEGREES = "_degrees"
-"""Ending of the keys of angles: the key is in degrees, the dataclass field of that name without the ending in radians.
+"""Ending of keys for angles. For example, the key ``outer_angle_degrees`` is in degrees, and its dataclass field
+``outer_angle`` in radians.
 """
 
 

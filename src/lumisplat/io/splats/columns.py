@@ -168,7 +168,7 @@ class SplatColumns:
     incident: Floats | None = None
     """J SH coefficients of incident light per Gaussian, DC first, shape (N, J, 3); None if the file has none."""
     material_columns: MaterialColumns = LINEAR
-    """Names and encodings of the columns from which normals and materials were read, which depend on the trainer."""
+    """Trainer-dependent names and encodings of the columns from which normals and materials were read."""
     scales_are_logarithms: bool = True
     opacities_are_logits: bool = True
     antialiased: bool = False
@@ -214,7 +214,8 @@ _STEPS = 4
 """
 
 _ACTIVATED_MIN = 32
-"""Fewest Gaussians from which to infer whether scales are logarithms and opacities logits; fewer: both are."""
+"""Fewest Gaussians from which to infer the encoding of scales and opacities. With fewer, scales count as logarithms
+and opacities as logits."""
 
 LOGITS_COMMENT = "lumisplat logits"
 """Lumisplat's PLY comment: scales are logarithms and opacities logits, even if their values look like the opposite."""
@@ -255,8 +256,8 @@ def stored_activated(columns: SplatColumns, scale_columns: int = 3) -> tuple[boo
 
     In a trained capture some logits lie outside 0..1, and some logarithms are negative. Stored opacities that all lie
     within 0..1 are therefore opacities if all scales are positive, or if the opacities span nearly all of 0..1: as
-    logits they would all mean 0.5 to 0.73. Scales beside logits are stored directly if they are positive and, taken as
-    logarithms, would be of nearly one size or far larger than the capture.
+    logits, such values would all mean opacities of 0.5 to 0.73. Scales beside logits are stored directly if they are
+    positive and implausible as logarithms: the Gaussians would have nearly one size or be far larger than the capture.
 
     Args:
         columns: Scales and opacities as the file has them; invalid Gaussians are ignored.
@@ -281,9 +282,9 @@ def stored_activated(columns: SplatColumns, scale_columns: int = 3) -> tuple[boo
 
 
 def _cannot_be_logarithms(scales: Floats, means: Floats) -> bool:
-    """Returns whether stored positive scales must be scales: as logarithms they would not fit the capture's extent.
+    """Returns whether positive stored scales are implausible as logarithms, and so must be standard deviations.
 
-    If they were logarithms, nearly all Gaussians would have one size, or be ten times larger than the capture.
+    As logarithms, they would give nearly all Gaussians one size, or make them ten times larger than the capture.
     """
     small, median, large = (float(size) for size in np.quantile(scales, (0.05, 0.5, 0.95)))
     low, high = np.quantile(means, (0.05, 0.95), axis=0)
@@ -372,9 +373,10 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
 def _rows_to_keep(
     path: PathLike, columns: SplatColumns, scales: Floats, drop_invalid: bool
 ) -> slice | npt.NDArray[np.bool_]:
-    """Selects the Gaussians to keep: all if all are valid, else the valid ones, or raises `FormatError`.
+    """Selects the valid Gaussians; the result is a full slice if all are valid, else a mask.
 
-    It raises if ``drop_invalid`` is False or no Gaussian is valid. ``scales`` are standard deviations.
+    Raises `FormatError` if no Gaussian is valid, or if one is invalid and ``drop_invalid`` is False. ``scales`` are
+    standard deviations.
     """
     invalid, problems = _invalid_rows(columns, scales)
     if not problems:

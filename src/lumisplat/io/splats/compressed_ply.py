@@ -37,8 +37,8 @@ _log = logging.getLogger("lumisplat")
 
 _CHUNK = 256
 _LOG_SCALE_MAX = 20.0
-"""Largest magnitude of written log scales, as in PlayCanvas; larger ones are clamped, as one would coarsen its whole
-chunk."""
+"""Largest magnitude of written log scales, as in PlayCanvas; larger ones are clamped, because one of them would
+coarsen the scales of its whole chunk."""
 
 _POSITION_RANGE = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
 _SCALE_RANGE = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
@@ -205,8 +205,8 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
 def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
     """Logs how many Gaussians have coarse positions because an outlier widens the range of their chunk.
 
-    Positions of a chunk are coarse if their quantisation step exceeds the median size of its Gaussians (their largest
-    scales).
+    Positions of a chunk are coarse if their quantisation step exceeds the median of max(scales) over the chunk's
+    Gaussians.
     """
     starts = np.arange(0, ordered.count, _CHUNK)
     means = ordered.means
@@ -224,7 +224,7 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
 
 
 def _chunk_ranges(values: Floats) -> tuple[Floats, Floats]:
-    """Returns the value range of each chunk, and the values scaled to 0..1 of their chunk's range.
+    """Returns the value range of each chunk, and each value scaled so that its chunk's range becomes 0..1.
 
     Args:
         values: Three values of each of N Gaussians, in chunks of 256 rows, shape (N, 3).

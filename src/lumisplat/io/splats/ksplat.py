@@ -64,7 +64,8 @@ _BUCKET_BYTES = 12
 _COMPONENTS = (0, 9, 24)
 """Number of SH values above degree 0 in a row, all three channels together, for SH degree 0, 1 and 2."""
 _SCALE_RANGE = (1, 32767, 32767)
-"""Quantisation steps from a bucket's centre to its side, for compression levels 0, 1 and 2, if the header has 0."""
+"""Number of quantisation steps from a bucket's centre to its side at compression levels 0, 1 and 2; used if the header
+states 0."""
 _HALF_RANGE = 1.5
 """Largest magnitude of SH coefficients at compression level 2 if the header states no limits: -1.5 to 1.5."""
 
@@ -76,7 +77,7 @@ class _File(NamedTuple):
     data: bytes
     level: int
     limits: tuple[float, float]
-    """Smallest and largest SH coefficient, to which compression level 2 maps bytes."""
+    """Smallest and largest SH coefficient: compression level 2 maps bytes 0 to 255 linearly to this range."""
 
 
 class _Section(NamedTuple):
@@ -175,7 +176,7 @@ def _row(level: int, degree: int) -> np.dtype[np.void]:
 
 
 def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
-    """Returns the centre of the bucket of each of N Gaussians, shape (N, 3); stored positions are relative to it."""
+    """Returns the bucket centre of each of N Gaussians, shape (N, 3); stored positions are relative to the centre."""
     lengths = np.frombuffer(file.data, "<u4", head.partial_count, start).astype(np.int64)
     full = head.full_count * head.bucket_size
     if head.full_count + head.partial_count != head.bucket_count or full + int(lengths.sum()) != head.gaussians:

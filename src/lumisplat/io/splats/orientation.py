@@ -148,7 +148,7 @@ def origin_text(origin: Vector) -> str:
 
 
 def comments_with_orientation(gaussians: Gaussians, comments: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns PLY comments that state the capture's origin, up direction and first view, and no others of these.
+    """Returns PLY comments that state the capture's origin, up direction and first view in place of any older values.
 
     Comments of other programs that state another up direction are removed.
     """

@@ -107,7 +107,7 @@ def fit_codebook(values: Floats) -> npt.NDArray[np.float32]:
 
 
 def encode(values: Floats, codebook: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    """Returns the index of the nearest entry of a codebook, which ascends, for each number in ``values``."""
+    """Returns, for each number in ``values``, the index of the nearest entry of an ascending codebook."""
     borders = 0.5 * (codebook[:-1].astype(np.float64) + codebook[1:])
     return np.searchsorted(borders, values, side="left").astype(np.uint8)
 
@@ -133,7 +133,7 @@ class _PrefixSums:
 
         Args:
             start: Index of the run's first number.
-            end: Index after its last number.
+            end: Index after the run's last number.
         """
         if end - start < 2:
             return 0.0, start
@@ -145,7 +145,7 @@ class _PrefixSums:
         return float(gains[best]), start + 1 + best
 
     def least_gain(self) -> float:
-        """Returns the smallest reduction of the squared error that is not rounding: 1e-12 of the sum of squares."""
+        """Returns the smallest reduction of the squared error above rounding error: 1e-12 of the sum of squares."""
         return 1e-12 * float(self._squares[-1])
 
 
@@ -228,14 +228,14 @@ def _read_member(path: PathLike, bundle: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _plain_name(path: PathLike, name: str) -> str:
-    """Returns a file name from meta.json; raises `FormatError` if it contains a folder, as it may lead elsewhere."""
+    """Returns a file name from meta.json; raises `FormatError` if the name contains a folder, which may be anywhere."""
     if Path(name).name != name:
         raise FormatError(path, f"refers to {name!r}, expected the name of a file beside its meta.json")
     return name
 
 
 def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]:
-    """Decodes the WebP images of a capture to RGBA, shape (height, width, 4), by file name, in several threads."""
+    """Decodes a capture's WebP images in several threads. Returns RGBA, shape (height, width, 4), by file name."""
 
     def decoded(name: str) -> Bytes:
         with _decoding(path, name):
@@ -299,7 +299,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
 
 
 def _values(stored: Bytes, field: Meta) -> Floats:
-    """Decodes bytes by the codebook in their meta.json entry ``field``, or in version 1 linearly to its value range."""
+    """Decodes bytes by the codebook in the meta.json entry ``field``, or, in version 1, by the value range in it."""
     if "codebook" not in field:
         return _scale_to_range(stored / np.float32(255.0), field)
     codebook = np.array(field["codebook"], dtype=np.float32)
@@ -385,8 +385,8 @@ def remove_file(path: Path) -> None:
 def write_folder(meta: Path, contents: Contents, written: list[Path]) -> None:
     """Writes the files of a capture into a folder.
 
-    The old ``meta.json`` is removed first and the new one written last. A folder without it is no capture, so an
-    interrupted write never leaves a mix of old and new files that could be loaded.
+    The old ``meta.json`` is removed first and the new one written last. A folder without ``meta.json`` is no capture,
+    so a mix of old and new files after an interrupted write cannot be loaded.
 
     Args:
         meta: Path of the ``meta.json``.
@@ -438,7 +438,7 @@ def sog_contents(gaussians: Gaussians) -> Contents:
 
 
 def coarse_steps(gaussians: Gaussians) -> Floats:
-    """Returns the quantisation step of each Gaussian's position, for those Gaussians that are smaller than their step.
+    """Returns the position quantisation steps of those Gaussians that are smaller than their own step.
 
     Steps are in scene units. The step of a coordinate x is the step of its logarithm times the derivative 1 + abs(x).
     The step of the logarithm is 1 / 65535 of the range of all logarithms, or the spacing of float32 at the logarithm
@@ -458,7 +458,7 @@ def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
     Args:
         path: The file.
         count: Number of Gaussians that are smaller than their step.
-        step: Largest of their steps, scene units.
+        step: Largest quantisation step of these Gaussians, scene units.
     """
     if count:
         _log.warning(
@@ -491,7 +491,7 @@ def _rotation_image(wxyz: Floats) -> Bytes:
 
 
 def palette_size(count: int) -> int:
-    """Returns the number of SH palette entries for ``count`` Gaussians: the power of two below it, at most 65,536."""
+    """Returns the number of SH palette entries for a capture: the largest power of two <= ``count``, at most 65,536."""
     return min(_PALETTE_ENTRIES_MAX, 2 ** int(math.log2(max(count, 1))))
 
 

@@ -82,7 +82,7 @@ def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
 
 
 def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
-    """Returns the kernel degree that the last such header comment states, not range-checked; 2 without a comment."""
+    """Returns the kernel degree that the last kernel_degree comment states, not range-checked; 2 without a comment."""
     degrees = [int(match[1]) for match in map(_KERNEL_DEGREE.fullmatch, comments) if match]
     return degrees[-1] if degrees else KERNEL_DEGREE
 
@@ -174,7 +174,8 @@ def columns_of_rows(
         vertex: Element from `splat_element`.
         coefficients: SH coefficients per channel, from `splat_element`.
         rows: The rows.
-        activated: Two flags from `stored_activated`: scales are no logarithms, and opacities are no logits.
+        activated: Two flags from `stored_activated`: True for scales that are not logarithms, and True for opacities
+            that are not logits.
     """
     columns = _allocate(replace(header, comments=()), replace(vertex, count=len(rows), properties=()), coefficients)
     columns.antialiased = antialiased_from_comments(header.comments)
@@ -234,7 +235,7 @@ def scale_columns(vertex: PlyElement) -> int:
 
 
 def _flatten_2d(columns: SplatColumns, vertex: PlyElement) -> None:
-    """Sets the third scale of 2D Gaussians to a small fraction of their smaller scale."""
+    """Sets the third scale of each 2D Gaussian to a small fraction of the smaller of its two scales."""
     if scale_columns(vertex) == 2:
         smaller = columns.log_scales[:, :2].min(axis=1)
         is_logarithm = columns.scales_are_logarithms

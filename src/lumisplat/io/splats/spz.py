@@ -64,7 +64,8 @@ _EXTENSION_BYTES_MAX = 2**16
 _GZIP_WINDOW = 16 + zlib.MAX_WBITS
 
 _HEADER_V4 = struct.Struct("<IIIBBBBI12x")
-"""Layout of the version 4 header: the fields of all versions, number of streams, and byte offset of their size table.
+"""Layout of the version 4 header: the fields of all versions, number of streams, and byte offset of the table of
+stream sizes.
 """
 
 _ZSTD_LEVEL = 12
@@ -282,7 +283,7 @@ def read_spz(path: PathLike) -> SplatColumns:
 def read_spz_orientation(path: PathLike) -> Orientation:
     """Reads the up direction and the first view without the Gaussians.
 
-    Files before version 4, which Lumisplat never writes, state neither.
+    Both are None for versions 1 to 3, which Lumisplat never writes.
 
     Raises:
         FormatError: The file is damaged.
@@ -349,7 +350,7 @@ def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _stored_axes(path: PathLike, records: dict[int, bytes]) -> str:
-    """Returns the axes of the file as letters, such as ``"RUB"`` (right, up, back), which is also the default.
+    """Returns the axes of the file as letters; the default is ``"RUB"``, x to the right, y up, z to the back.
 
     ``records`` has the contents of extension records by extension number.
     """

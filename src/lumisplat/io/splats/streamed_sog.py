@@ -39,7 +39,7 @@ from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.ops.neighbours import sort_morton
 
 SOG_CHUNK_COUNT = 512 * 1024
-"""Approximate number of Gaussians in each SOG capture of a streamed SOG, 7 MB, as in splat-transform.
+"""Approximate number of Gaussians in each SOG capture of a streamed SOG, about 7 MB, as in splat-transform.
 
 It is also the largest number of Gaussians in a leaf of the tree."""
 
@@ -185,7 +185,7 @@ def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumn
 
 @dataclass(slots=True)
 class _OpenCapture:
-    """Gaussians of one level that wait to be written as one SOG capture, and the name of its folder."""
+    """Gaussians of one level that wait to be written as one SOG capture, and the name of the capture's folder."""
 
     name: str
     parts: list[Gaussians] = field(default_factory=list[Gaussians])
@@ -207,8 +207,8 @@ class _OpenCaptures:
         self.counts = [0] * levels
         """Number of Gaussians added so far to each level of detail."""
         self.coarse: tuple[int, float] = (0, 0.0)
-        """Number of Gaussians of the finest level that are smaller than their position step, and the largest such
-        step."""
+        """Number of Gaussians of the finest level that are smaller than the quantisation step of their position, and
+        the largest step of these Gaussians."""
 
     def add(self, level: int, part: Gaussians) -> dict[str, int]:
         """Appends the Gaussians ``part`` of a leaf to the open capture of a level of detail.
@@ -247,7 +247,7 @@ class _OpenCaptures:
 
 
 def write_streamed_sog(path: PathLike, gaussians: Gaussians) -> None:
-    """Writes a streamed SOG into the folder of its ``lod-meta.json``, which is removed first and written last.
+    """Writes a streamed SOG; ``path`` is its ``lod-meta.json``, which is removed first and written last.
 
     Each level has half the Gaussians of the next finer one; the coarsest has about `SOG_LEVEL_MIN`. Values are
     quantised as in `write_sog`.
@@ -314,7 +314,7 @@ def _node(captures: _OpenCaptures, gaussians: Gaussians, levels: int) -> dict[st
 
 
 def _lower_half(values: FloatArray) -> Flags:
-    """Returns a mask of the numbers below the median, or up to it if none is below; at least one number is left out."""
+    """Returns a mask of the numbers below the median; if there are none, of the numbers equal to the median."""
     median = np.median(values)
     below = values < median
     return below if below.any() else values <= median

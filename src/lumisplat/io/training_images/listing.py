@@ -262,14 +262,14 @@ def some_names(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Splits:
-    """Train and evaluation splits of a ``transforms.json``: sets of ``file_path``; None if not in the file."""
+    """Train and evaluation splits of a ``transforms.json``: sets of ``file_path``, None for an undefined split."""
 
     training: frozenset[str] | None
     held_out: frozenset[str] | None
 
     @classmethod
     def of(cls, path: Path) -> Splits:
-        """Reads ``train_filenames`` and ``test_filenames`` of a file, or ``val_filenames`` if it has no test split.
+        """Reads ``train_filenames`` and ``test_filenames`` of a file; ``val_filenames`` replaces a missing test split.
 
         Raises:
             FormatError: One of these keys is not a list of names.
@@ -283,7 +283,7 @@ class Splits:
     ) -> tuple[list[ListedImage], list[ListedImage] | None]:
         """Divides frames into training frames and held-out frames.
 
-        A file that defines only one of the two sets puts all other frames into the other one.
+        If a file defines only one of the two sets, all frames outside of that set form the other set.
 
         Args:
             path: The file, named in errors.
@@ -291,7 +291,7 @@ class Splits:
             holds_out: Whether to return held-out frames; False returns an empty list for them.
 
         Returns:
-            Training frames and held-out frames. The second is None if the file defines neither set.
+            Training frames and held-out frames. The held-out frames are None if the file defines neither set.
 
         Raises:
             FormatError: No training frame is left.

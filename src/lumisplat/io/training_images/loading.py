@@ -48,10 +48,10 @@ HOLD_OUT = 8
 """Default of ``hold_out``: every 8th image is held out for evaluation, as in Mip-NeRF 360 and later work."""
 
 SAME_POSITION = 1e-3
-"""Distance below which two cameras count as at one position, as a fraction of the cameras' extent."""
+"""Two cameras count as at one position if their distance is below this fraction of the extent of all cameras."""
 
 SAME_ROTATION = 1e-3
-"""Angle between the rotations of two cameras, radians, below which they count as equally rotated.
+"""Two cameras count as equally rotated if the angle between their rotations is below this, radians.
 
 A rotation by this angle moves the image by a pixel or two."""
 
@@ -84,7 +84,9 @@ def count_poses(cameras: Sequence[Camera]) -> int:
 
 
 def _distinct(cameras: Sequence[Camera], *, with_rotation: bool) -> list[int]:
-    """Returns the indices of cameras whose pose no earlier camera has, within `SAME_POSITION` and `SAME_ROTATION`.
+    """Returns the index of the first camera at each pose.
+
+    Poses are the same within `SAME_POSITION` and `SAME_ROTATION`.
 
     If ``with_rotation`` is False, only positions are compared.
     """
@@ -164,7 +166,7 @@ class TrainingImage:
 
 @dataclass(frozen=True, slots=True)
 class ReadFrom:
-    """Arguments of the call of `load_training_images` that loaded a set of images, to load them again."""
+    """Arguments with which `load_training_images` loaded a set of images, so that the set can be loaded again."""
 
     folder: Path
     """Absolute path of the folder."""
@@ -273,13 +275,14 @@ def load_training_images(
     Args:
         folder: The folder.
         scale: Factor on the image size, above 0, at most 1.
-        hold_out: Hold out the first image in the order of names and every ``hold_out``-th after it, at least 2. 0 holds
-            out none, and ignores a test file.
+        hold_out: Hold out the first image in the order of names and every ``hold_out``-th after it; at least 2, or 0. 0
+            holds out no image, and ignores a test file.
         background: Colour behind transparent pixels, as in `RenderConfig`: three numbers in 0..1, a name or
             ``"#rrggbb"``. None or ``"transparent"`` leaves colours premultiplied by alpha.
         straighten: Whether to resample distorted and fisheye lenses to pinholes. If False, cameras keep their lens,
             which `Pipeline.TRACE` and `Projection.UNSCENTED` render, and pixels without a ray are masked out.
-        cache_bytes: Memory for decoded images, 8 bits per value, at least 0. Images beyond it are decoded again.
+        cache_bytes: Memory for decoded images, 8 bits per value, at least 0. Images that do not fit are decoded again
+            at each use.
         allow_outside: Whether the file may refer to images outside its own folder. Only for files that you trust.
 
     Raises:
@@ -402,7 +405,7 @@ def _views(
     """Builds the training images of ``listed``, in the order of their paths, downscaled as the settings say.
 
     Args:
-        file: The file that lists them, for messages.
+        file: File that lists the images, for messages.
         settings: Settings of all images.
         cache: Cache for the decoded pixels.
         listed: The images; each is checked against its camera and mask.
@@ -549,7 +552,7 @@ def _straightened(plane: Plane, points: Doubles, covered: Flags) -> Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSource:
-    """Files and lens of a training image, from which `decode` makes its pixels."""
+    """Files and lens of a training image, from which `decode` makes the pixels."""
 
     camera: Camera
     """Camera with its original lens, at the scaled size."""

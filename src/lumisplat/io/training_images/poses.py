@@ -79,7 +79,7 @@ REPROJECTION_ERROR_MAX = 1.5
 Errors of 0.4 to 1 are usual, and COLMAP removes points with errors above 4."""
 
 WITHOUT_POSE_MAX = 0.25
-"""Fraction of images for which COLMAP found no pose above which a log line advises to record the video again."""
+"""If COLMAP finds no pose for more than this fraction of the images, a log line advises to record the video again."""
 
 USUAL_FOV_DEGREES = 15.0, 130.0
 """Smallest and largest usual field of view of phones and cameras along the longer image side, degrees."""
@@ -125,7 +125,7 @@ def compared_pairs(
 def similar_pairs(descriptors: Sequence[FloatArray], neighbors: int, report: Callable[[float], None]) -> Pairs:
     """Pairs each image with the `SIMILAR_IMAGES` others with which it shares most of its largest features.
 
-    Large features are few, and are found again from other viewpoints. Pairs whose largest features do not match seldom
+    Large features are few, and are found again from other viewpoints. Images whose largest features do not match seldom
     match at all (Wu 2013, "Towards Linear-Time Incremental Structure from Motion", section 4, preemptive matching).
 
     Args:
@@ -353,9 +353,9 @@ class PoseReport:
     with_pose: Sequence[str]
     """File names of the images for which COLMAP found a pose, sorted."""
     model_sizes: Sequence[int]
-    """Number of images in the chosen model, then in each other model, not counting images of the chosen one.
+    """Number of images in the chosen model, then of the further images that each other model adds.
 
-    Other models with fewer than `MODEL_IMAGES_MIN` such images are left out.
+    Models that add fewer than `MODEL_IMAGES_MIN` images are left out.
     """
     points: int
     points_per_image: float
@@ -363,8 +363,8 @@ class PoseReport:
     error: float
     """Mean reprojection error, in pixels of an image whose longer side has at most `COMPARED_PIXELS`."""
     fov_degrees: float
-    """Field of view along the longer image side, degrees. If there are several cameras, the one farthest from the
-    usual.
+    """Field of view along the longer image side, degrees. With several cameras, it is the one farthest from the usual
+    range, `USUAL_FOV_DEGREES`.
     """
 
     @classmethod

@@ -27,7 +27,7 @@ from lumisplat.scene.scene import MeshInstance, Scene, check_similarity
 
 
 def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
-    """Reads a stage with its time samples, from its first time code to its last, at its frame rate.
+    """Reads a stage with its time samples, from the stage's first to its last time code, at the stage's frame rate.
 
     Time samples of transforms become keyframes. Deforming prims are read again at each rendered time. A deforming prim
     that a point instancer copies keeps its shape of the first time code, and a log line names the prim.
@@ -134,7 +134,7 @@ def _transform_time_codes(prim: Any) -> Doubles:
 
 
 def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
-    """Returns the first and last time code of an animation: as the stage states, else of all samples in ``codes``."""
+    """Returns the first and last time code that a stage states or, if it states none, of all samples in ``codes``."""
     if file.stage.HasAuthoredTimeCodeRange():
         return float(file.stage.GetStartTimeCode()), float(file.stage.GetEndTimeCode())
     sampled = np.concatenate([np.zeros(0), *codes])
@@ -182,7 +182,7 @@ def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles,
 def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tuple[Doubles, Doubles]:
     """Returns quaternions wxyz, shape (K, 4), and uniform scales, shape (K,), nearest to the K transforms of a prim.
 
-    If a transform stretches or mirrors, which quaternion and scale cannot represent, the log reports it.
+    Quaternions and uniform scales cannot represent stretching and mirroring; a log line reports such transforms.
     """
     linear = transforms[:, :3, :3]
     left, factors, right = np.linalg.svd(linear)
@@ -194,7 +194,7 @@ def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tupl
 
 
 def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) -> CameraPath | None:
-    """Returns the path of the first camera in ``moving``, with a keyframe at each time sample; None if there is none.
+    """Returns the path of the first of the cameras ``moving``, with a keyframe at each time sample; None without one.
 
     Args:
         file: The open file.

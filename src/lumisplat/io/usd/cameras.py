@@ -50,9 +50,9 @@ def read_usd_cameras(path: PathLike, width: int | None = None, height: int | Non
         path: The file.
         width: Image width in pixels. None uses the width in the camera's render product; without a render product, the
             width follows from ``height`` and the aspect ratio of the camera's apertures.
-        height: Image height in pixels. None uses the render product, or follows from ``width`` and the aspect ratio. If
-            there is neither a size nor a render product, the image is the largest that fits into 1280 x 720. The
-            vertical field of view is always that of the file.
+        height: Image height in pixels. None uses the height in the camera's render product; without a render product,
+            the height follows from ``width`` and the aspect ratio. Without a size or a render product, the image is the
+            largest that fits into 1280 x 720. The vertical field of view is always that of the file.
 
     Raises:
         FormatError: The file cannot be read, or a camera is invalid; the message names the camera.
@@ -85,7 +85,7 @@ def cameras_of(file: UsdFile, width: int | None = None, height: int | None = Non
 
 
 def _product_sizes(file: UsdFile) -> dict[str, _Size]:
-    """Returns the image size of each camera for which a render product or render settings state one, by camera path."""
+    """Returns the image sizes that render products and render settings state, by the path of the camera."""
     px, sizes = pxr(), dict[str, _Size]()
     for prim in file.stage.Traverse():
         if prim.IsA(px.UsdRender.SettingsBase) and prim.GetAttribute("resolution").HasAuthoredValue():

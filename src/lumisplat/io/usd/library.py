@@ -62,7 +62,8 @@ def pxr() -> Any:
 def reading_usd(path: PathLike) -> Generator[None]:
     """Silences usd-core inside the block, and turns its errors into one `FormatError` about ``path``.
 
-    Standard output and error are redirected inside the block. Log lines of Lumisplat are therefore emitted after it.
+    Standard output and error are redirected inside the block. Log lines of Lumisplat are therefore emitted after the
+    block.
 
     Raises:
         FormatError: The content cannot be read.
@@ -78,7 +79,7 @@ def reading_usd(path: PathLike) -> Generator[None]:
 
 @contextmanager
 def writing_usd(path: PathLike) -> Generator[None]:
-    """Silences usd-core inside the block, as `reading_usd` does, and reports its errors as failures to write ``path``.
+    """Silences usd-core inside the block, as `reading_usd` does; errors of usd-core become failures to write ``path``.
 
     Raises:
         FormatError: The file cannot be written.
