@@ -1,4 +1,4 @@
-"""Random numbers of a view, which depend only on the seed, the view's index and their purpose."""
+"""Random numbers of a view. They depend only on the seed, the view's index and the purpose of the numbers."""
 
 from __future__ import annotations
 

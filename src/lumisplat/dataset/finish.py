@@ -46,7 +46,7 @@ class DatasetSummary:
     missing: int
     """Number of views not rendered yet; if it is above 0, no summary file was written."""
     left_out: int
-    """Number of objects, over all views, for which no free position was found."""
+    """Number of objects in all views that were left out because no free position was found."""
     shards: tuple[Path, ...] = ()
 
 

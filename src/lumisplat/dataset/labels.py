@@ -24,14 +24,15 @@ class DatasetThing:
     id: int
     """Value of the object's pixels in the layer ``instance``, from 1.
 
-    Captures and meshes of the given scene have the same id in all views; inserted objects have the ids after them.
+    The captures and meshes of the given scene have the lowest ids, equal in all views. Inserted objects have the next
+    ids.
     """
     name: str
     category: str
-    """Name of the object's category: for a capture or mesh of the given scene its name, or ``capture`` or ``mesh`` if
-    it has none; for an inserted object the name of its file without extension."""
+    """Name of the object's category. For an inserted object, it is the file name without extension. For a capture or
+    mesh of the given scene, it is the instance's name or, without a name, ``capture`` or ``mesh``."""
     category_id: int
-    """Value of the object's pixels in the layer ``category``, from 1; the same for a category in all views."""
+    """Value of the object's pixels in the layer ``category``, from 1. A category has the same value in all views."""
     kind: str
     """``capture`` or ``mesh``; for an inserted object with several captures or meshes ``scene``."""
     is_object: bool
@@ -39,7 +40,7 @@ class DatasetThing:
     instances: tuple[int, ...]
     """Indices of the object's captures and meshes in ``Frame.instance_index``."""
     world_from_object: Doubles
-    """Transform to the world from object coordinates, those of the capture, of the mesh or of the inserted file."""
+    """Transform to the world from object coordinates: the coordinates of the capture, the mesh or the inserted file."""
     low: Doubles
     """Lower corner of the bounding box in object coordinates, shape (3,), without a capture's stray Gaussians."""
     high: Doubles
@@ -103,7 +104,7 @@ class Catalogue:
 
         Args:
             between: Number of captures among the inserted objects. ``instance_index`` counts the scene's captures, then
-                these, then the scene's meshes.
+                the inserted captures, then the scene's meshes.
         """
         instances = (*self._scene.splats, *self._scene.meshes)
         labelled = zip(instances, self._names, self._categories, self._boxes, strict=True)

@@ -19,9 +19,11 @@ _LIGHT_TRIES = 32
 """Number of random positions tried for a point light in the free space of a scene. If none is free, the last is used.
 """
 _LIGHT_NEAREST = 0.25
-"""Smallest distance between a point light and the scene's middle that is used to compute the light's intensity.
+"""The intensity of a point light is computed from its distance to the scene's middle, or this minimum if that is
+larger.
 
-It is a fraction of the diagonal of the scene's box; a nearer light would get almost no intensity."""
+The minimum is a fraction of the diagonal of the scene's box. Without it, a light near the middle would get almost no
+intensity."""
 _LIGHT_CLEARANCE = 0.01
 """Distance that a point light keeps from all surfaces, as a fraction of the diagonal of the scene's box."""
 
@@ -58,7 +60,7 @@ class LightSampler:
         return bool(self._scene_lights or self._environments or self._suns[1] or self._config.points[1])
 
     def lights(self, draws: Draws) -> tuple[Light, ...]:
-        """Returns the random lights of a view: the scene's own, an environment, suns, point lights, ambient light."""
+        """Returns the lights of a view: those of the scene, then random ones (environment, ambient, suns, points)."""
         config = self._config
         angle, brightness = 2.0 * math.pi * draws.unit() * config.turned, draws.factor(config.brightness)
         selector, ambient = draws.unit(), draws.between(config.ambient)
@@ -80,7 +82,7 @@ class LightSampler:
         return draws.between(self._config.exposure)
 
     def _is_replaced(self, light: Light) -> bool:
-        """Returns whether to leave out a light of the scene: an environment, if environments were given as files."""
+        """Returns True for an environment of the scene that is left out, because environments were given as files."""
         return isinstance(light, LightEnvironment) and bool(self._environments)
 
     def _rotated(self, light: Light, angle: float, brightness: float) -> Light:

@@ -21,7 +21,7 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 _Instance = TypeVar("_Instance", SplatInstance, MeshInstance)
 
 _POSITIONS = 32
-"""Number of random positions that are tested for an object together; see `_BATCHES`."""
+"""Number of random positions that are tested together for one object; see `_BATCHES`."""
 _BATCHES = 4
 """Number of times that `_POSITIONS` random positions are tested for an object before it is left out."""
 _FOOTPRINT = np.array([(0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)])
@@ -94,7 +94,7 @@ class PlacedObject:
 
 @dataclass(frozen=True)
 class Placement:
-    """Objects that were inserted into the scene of one view, and the names of those for which there was no room."""
+    """Objects that were inserted into the scene of one view, and the names of the objects that did not fit."""
 
     placed: tuple[PlacedObject, ...] = ()
     left_out: tuple[str, ...] = ()
@@ -143,7 +143,7 @@ class ObjectPlacer:
         return None
 
     def _free_center(self, units: Doubles, radius: float, foot: float, others: list[PlacedObject]) -> Doubles | None:
-        """Returns the first of N candidate centres with level ground and free space for an object; None if none has.
+        """Returns the first of N candidate centres with both level ground and free space for an object, else None.
 
         Args:
             units: Candidate positions in the scene's box, as fractions 0..1 of the box, shape (N, 3). Their heights are

@@ -57,7 +57,7 @@ class Solids:
                 self._boxes.append((lowest, highest, points[instance.mesh.indices[:, ::flip]]))
 
     def contain(self, point: Doubles) -> bool:
-        """Returns whether a point is inside a mesh, by the winding number of the mesh around it."""
+        """Returns whether a point is inside any of the meshes, by the winding number of each mesh around the point."""
         return any(
             bool((low < point).all() and (point < high).all()) and winding_number(triangles, point) > _INSIDE
             for low, high, triangles in self._boxes
@@ -69,7 +69,7 @@ def _dot(a: Doubles, b: Doubles) -> Doubles:
 
 
 _SPHERE_RAYS = 32
-"""Number of rays in all directions from a point by which the nearest surface is found."""
+"""Number of rays that are traced from a point in all directions to find the nearest surface."""
 _ACROSS, _DOWN = 16, 12
 """Number of columns and rows of the ray grid that estimates how much of an image shows surfaces."""
 
@@ -122,13 +122,13 @@ class Space:
         return float(np.isfinite(self.depths(origins, directions)).mean())
 
     def is_visible(self, eye: Doubles, point: Doubles, radius: float) -> bool:
-        """Returns whether a ray from ``eye`` to ``point`` meets no surface more than ``radius`` before the point."""
+        """Returns whether the ray from ``eye`` to ``point`` hits no surface, except within ``radius`` of the point."""
         away = point - eye
         distance = float(np.linalg.norm(away))
         return bool(self.depths(eye[None], away[None] / distance)[0] >= distance - radius)
 
     def hemispheres_free(self, centers: Doubles, radii: Doubles) -> Flags:
-        """Returns, for each of N spheres, whether rays upwards from its centre meet no surface within its radius.
+        """Returns, for each of N spheres, whether upward rays from the sphere's centre hit no surface in the sphere.
 
         Args:
             centers: Centres of the spheres, shape (N, 3).

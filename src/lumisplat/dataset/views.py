@@ -137,7 +137,8 @@ class DatasetViews:
 
         Args:
             view: The view.
-            frame: Its frame, rendered with ``albedo`` in ``RenderConfig.aovs`` if that is one of the layers.
+            frame: Frame of the view. It must be rendered with ``albedo`` in ``RenderConfig.aovs`` if the layers include
+                ``albedo``.
             folder: Folder of the data set.
 
         Raises:
@@ -212,8 +213,8 @@ def render_dataset(
 ) -> DatasetSummary:
     """Renders random views of a scene with random lights and inserted objects, as training data.
 
-    Views that are already in the folder are not rendered again and not checked; ``lumisplat dataset`` checks their
-    settings and divides the work among processes. `DatasetViews` gives single views.
+    Views that are already in the folder are not rendered again and not checked. The command ``lumisplat dataset``
+    checks the settings of such views, and divides the work among processes. `DatasetViews` gives single views.
 
     Args:
         scene: The scene.

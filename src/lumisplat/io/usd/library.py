@@ -92,7 +92,7 @@ def writing_usd(path: PathLike) -> Generator[None]:
 
 
 def _reason(error: Exception, path: PathLike) -> str:
-    """Returns ": " and usd-core's error text on one line, without internal C++ names and the file's path."""
+    """Returns ": " and usd-core's error text on one line, without internal C++ names and without the file's path."""
     first: object = error.args[0] if error.args else ""
     text = " ".join(str(getattr(first, "commentary", first)).split())
     for name in (os.path.abspath(path), os.fspath(path)):
@@ -131,12 +131,12 @@ def check_layers(path: Path, text: str) -> list[Any]:
         text: The path of the file in UTF-8, as usd-core needs it.
 
     Returns:
-        Layers that the caller must keep referenced. usd-core cannot open text with a byte order mark. Layers with one
-        are therefore created in memory, and usd-core finds them only as long as they exist.
+        Layers that the caller must keep referenced. usd-core cannot open text with a byte order mark. Layers from such
+        text are therefore created in memory, and usd-core finds these layers only as long as they exist.
 
     Raises:
-        FormatError: A layer is no regular file; its path leaves the folder of ``path`` without permission; or its name
-            is an expression or has arguments, so that the file is unknown.
+        FormatError: A layer is no regular file, or its path leaves the folder of ``path`` without permission. Or the
+            name of a layer does not determine a file, because it is an expression or has arguments.
     """
     px, home = pxr(), path.parent
     waiting, checked, layers = [path], {os.path.abspath(path)}, list[Any]()
@@ -172,7 +172,7 @@ def check_layers(path: Path, text: str) -> list[Any]:
 def _marked_layer(file: Path, name: str) -> Any | None:
     """Creates the layer of a text file that starts with a byte order mark, which usd-core itself cannot open.
 
-    None if the file has no such mark.
+    Returns None for a file without a byte order mark.
 
     Raises:
         FormatError: The file starts with a byte order mark, but is not text in that encoding.
@@ -240,7 +240,7 @@ def check_loaded(path: Path) -> None:
 
 
 def _layer_dependencies(layer: Any) -> Iterator[str]:
-    """Yields the names of other layers in a layer: its sublayers, references, payloads and clips, in all variants."""
+    """Yields the names of the layers that a layer uses as sublayers, references, payloads or clips, in any variant."""
     yield from (str(name) for name in layer.GetCompositionAssetDependencies() if name)
     clips: list[Any] = []
 
@@ -257,7 +257,7 @@ def _layer_dependencies(layer: Any) -> Iterator[str]:
 
 
 def _asset_packages(layer: Any) -> Iterator[str]:
-    """Yields asset values of a layer whose files usd-core opens by itself: files in packages, and expressions."""
+    """Yields the asset values of a layer that usd-core opens by itself: files inside packages, and expressions."""
     px, values = pxr(), list[Any]()
 
     def collect(at: Any) -> None:

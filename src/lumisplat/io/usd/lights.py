@@ -1,11 +1,11 @@
 """Reads and writes OpenUSD lights (UsdLux), and converts between nits and the units of Lumisplat.
 
-A UsdLux light emits radiance ``intensity * 2^exposure * color`` in nits, divided by its area if ``inputs:normalize`` is
-set. The area is in square stage units, because USD renderers ignore metersPerUnit. A sphere of radius r and radiance L
-has an intensity of ``pi r^2 L`` candela. A distant light of angular radius t gives ``pi sin(t)^2 L`` lux, or, if
-normalized, its intensity in lux. Lights in radiance are written without normalization; candela and lux are written as
-intensities of normalized lights. A normalized sphere divides by its surface area 4 pi r^2 but shows a disk of pi r^2,
-so its intensity is four times the candela at any radius.
+A UsdLux light emits radiance ``intensity * 2^exposure * color`` in nits, divided by the area of the light if
+``inputs:normalize`` is set. The area is in square stage units, because USD renderers ignore metersPerUnit. A sphere of
+radius r and radiance L has an intensity of ``pi r^2 L`` candela. A distant light of angular radius t gives ``pi
+sin(t)^2 L`` lux, or, if normalized, its intensity in lux. Lights in radiance are written without normalization; candela
+and lux are written as intensities of normalized lights. A normalized sphere divides by its surface area 4 pi r^2 but
+shows a disk of pi r^2, so its ``intensity`` is four times its candela at any radius.
 
 The image of a dome light has +z in its middle and +x to the left of the middle.
 """
@@ -67,8 +67,8 @@ _SOFTNESS_MIN = 1e-6
 """Smallest softness of a spot: the width of its edge as a fraction of the cone angle. 0 would make a hard edge."""
 
 _DOME_FROM_ENVIRONMENT = np.diag([-1.0, 1.0, -1.0])
-"""Rotation from a `LightEnvironment` image, which has -z in its middle and +x to the right, to a dome light: a half
-turn."""
+"""Rotation from a `LightEnvironment` to a dome light, a half turn. An environment image has -z in its middle and +x to
+the right of the middle."""
 _Z_FROM_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation of a dome light whose pole axis is z: it maps y to z, and the middle of the image then faces -y."""
 _RADIANCE = (".hdr", ".pic", ".exr")
@@ -224,9 +224,9 @@ def _disk(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, 
 
 
 def _flat_radiance(file: UsdFile, placed: PlacedPrim, emission: float, area: float, kind: str) -> float:
-    """Returns the radiance of a rectangle or disk light from its emission, which is divided by ``area`` if normalized.
+    """Returns the radiance of a rectangle or disk light: ``emission``, divided by ``area`` if the light is normalized.
 
-    A cone is ignored, which is logged.
+    A cone is ignored, and a log line says so.
 
     Args:
         file: The open file.

@@ -219,7 +219,7 @@ _Key = tuple[int, bool]
 
 
 class ReadMaterial(NamedTuple):
-    """A material, and the names of the mesh primvars that it takes texture coordinates and colour from."""
+    """A material, and the names of the mesh primvars from which it takes texture coordinates and colour."""
 
     material: MaterialPbr
     uv_transform: UvTransform = UvTransform()
@@ -269,7 +269,7 @@ class UsdMaterials:
         return self._cache[key]
 
     def sided(self, material: MaterialPbr, prim: Any) -> MaterialPbr:
-        """Returns a material for a mesh: emissive ones emit from front faces only, unless the mesh is doubleSided."""
+        """Returns a material for a mesh: if emissive, it emits only from front faces unless the mesh is doubleSided."""
         if not material.is_emissive or value(self._file, prim, "doubleSided", False):
             return material
         if id(material) not in self._one_sided:
@@ -372,7 +372,7 @@ class _Decoder:
         return table[texels]
 
     def _metallic_roughness(self) -> None:
-        """Stores roughness and metallic textures as one, with roughness in green and metallic in blue, as in glTF.
+        """Stores roughness and metallic textures as one texture, roughness in green and metallic in blue, as in glTF.
 
         The plane of an input without a texture becomes 255.
         """
@@ -400,7 +400,7 @@ class _Decoder:
             self._values["metallic_roughness_texture"] = both
 
     def _plane(self, texture: _TextureInput, channel_index: int) -> _Texels:
-        """Returns three channels of a texture; channel ``channel_index`` is the one that the shader input takes."""
+        """Returns a texture of three channels, whose channel ``channel_index`` has the values for the shader input."""
         texels, channel = self._materials.texels(texture), texture.channel or 0
         if channel == channel_index:
             return texels[:, :, :3] if texels.shape[2] > 3 else texels

@@ -192,7 +192,7 @@ class UsdMeshes:
             placed: The prim.
             polygons: Its polygons.
             faces: Mask of the faces, shape (P,) for P faces.
-            read: Their material; None without one.
+            read: Material of these faces; None without one.
         """
         file, prim = self._file, placed.prim
         subdivided = value(file, prim, "subdivisionScheme", "catmullClark") != "none"
@@ -260,7 +260,7 @@ def _normals(file: UsdFile, prim: Any) -> Attribute | None:
 
 
 def _primvar(file: UsdFile, prim: Any, name: str, columns: int) -> Attribute | None:
-    """Returns a primvar of a mesh, or one inherited from its ancestors, with indices resolved; None if there is none.
+    """Returns a primvar of a mesh, its own or an inherited one, with indices resolved; None if there is neither.
 
     Args:
         file: The open file.

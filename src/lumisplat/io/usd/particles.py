@@ -17,14 +17,15 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import display_sh
 
 _TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaussianSplat")
-"""Type names of prims that may hold Gaussians. ``ParticleField`` does by its schemas; Nuke 17.0 wrote the third."""
+"""Type names of prims that may hold Gaussians: the name in OpenUSD 26.03, the base type with applied API schemas, and
+the name that Nuke 17.0 writes."""
 _KERNEL = "ParticleFieldKernel"
 _ELLIPSOID, _SURFLET = "ParticleFieldKernelGaussianEllipsoidAPI", "ParticleFieldKernelGaussianSurfletAPI"
 _PRIMVARS = {"normals": 3, "albedo": 3, "roughness": 1, "metallic": 1}
-"""Numbers per Gaussian of the primvars for normals and materials, by name, which is also that of the `Gaussians`
+"""Number of values per Gaussian in the primvars for normals and materials. A primvar has the name of its `Gaussians`
 field."""
 _COLOR_SPACE = "srgb_rec709_scene"
-"""Colour space of captures by its OpenUSD name. Other programs write srgb_rec709_display."""
+"""OpenUSD name of the colour space of captures. Other programs write srgb_rec709_display."""
 _LINEAR = ("lin_rec709", "lin_srgb", "lin_rec709_scene", "lin_rec709_display")
 _DEGREE_MAX = 10
 """Largest SH degree accepted in a file; coefficients above `SH_DEGREE_MAX` are dropped."""
@@ -42,7 +43,7 @@ def is_field(prim: Any) -> bool:
 
 
 def read_particles(file: UsdFile, prim: Any) -> SplatColumns | None:
-    """Reads the Gaussians of a particle field; returns None for other kernels and empty fields, which are logged.
+    """Reads the Gaussians of a particle field; logs and returns None for a field with another kernel or no particles.
 
     Raises:
         FormatError: An attribute has the wrong type or shape.

@@ -86,7 +86,7 @@ class _Request:
     limit: _Limit
     """Limits on memory and time before the parent has allowed any layer; each allowed layer raises them."""
     level: int
-    """Lowest level of log records that the parent's logger would emit; the child sends no lower ones."""
+    """Lowest level of log records that the parent's logger emits. The child sends no records below this level."""
 
 
 def read_in_child(path: PathLike, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -188,10 +188,7 @@ class _Child:
         return cls()
 
     def release(self) -> None:
-        """Ends the current request and makes the child idle, unless the parent holds a proxy for the child.
-
-        A proxy calls a `Remote` function, which stays in the child.
-        """
+        """Ends the current request and makes the child idle, unless the parent still holds a proxy for a `Remote`."""
         if self._remotes:
             return
         with contextlib.suppress(OSError, EOFError, ValueError):  # the child may have ended and its pipes be closed
@@ -264,7 +261,7 @@ class _Child:
                 raise
 
     def _begin(self, request: _Request | tuple[int, float]) -> _Limit:
-        """Returns the limits for a call. A new request first resets the limits and sizes of the file before it."""
+        """Returns the limits for a call. A request for a file first resets the limits and sizes of the last file."""
         if isinstance(request, _Request):
             self._reader, self._size, self._limit = 0, 0, request.limit
         return self._limit
@@ -293,7 +290,7 @@ class _Child:
         return receive(self._out, self._remote)
 
     def _remote(self, number: int) -> Callable[[float], Any]:
-        """Returns a proxy that calls the child's `Remote` with this number; the child is reserved while it exists."""
+        """Returns a proxy that calls the child's `Remote` with this number; while it exists, the child stays alive."""
         self._remotes += 1
 
         def call(argument: float) -> Any:
@@ -303,7 +300,7 @@ class _Child:
         return call
 
     def _drop_remote(self) -> None:
-        """Counts one proxy of a `Remote` less, and releases the child process after the last one."""
+        """Decrements the number of proxies of `Remote` functions, and releases the child process when it reaches 0."""
         self._remotes -= 1
         self.release()
 
@@ -332,7 +329,7 @@ class _Limit:
         )
 
     def timer(self, end: Callable[[], None]) -> threading.Timer:
-        """Starts a timer that ends a child which hangs; it fires after `USD_WALL_FACTOR` times ``seconds``."""
+        """Starts a timer that ends a hanging child, by ``end``, after `USD_WALL_FACTOR` times ``seconds``."""
         return _timer(USD_WALL_FACTOR * self.seconds, end)
 
 
@@ -558,8 +555,8 @@ def send(stream: BinaryIO, value: Any, number_of: Callable[[Any], int | None] | 
     Args:
         stream: The pipe.
         value: A picklable value. Each array becomes a separate byte string and is not copied.
-        number_of: Returns a number for an object that stays in this process, which is sent in its place, and None for
-            all other objects. Without this function, no object stays.
+        number_of: Returns a number for an object that stays in this process, and None for all other objects. The number
+            is sent in place of the object. Without this function, all objects are sent.
     """
     data, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
     pickler = pickle.Pickler(data, 5, buffer_callback=buffers.append)

@@ -116,8 +116,8 @@ class StageReader:
     deforming: dict[str, tuple[PlacedPrim, list[SplatInstance | MeshInstance]]] = field(
         default_factory=dict[str, "tuple[PlacedPrim, list[SplatInstance | MeshInstance]]"]
     )
-    """Prims whose shape has time samples with their instances, by prim path. Instances made by a point instancer are
-    not included and keep their first shape."""
+    """Prims whose shape has time samples, each with its instances, by prim path. Instances made by a point instancer
+    are not included and keep the shape of the first time code."""
     has_cameras: bool = False
     _captures: dict[str, Gaussians | None] = field(default_factory=dict[str, "Gaussians | None"])
     _materials: UsdMaterials = field(init=False)

@@ -44,9 +44,10 @@ _REMARKS_LISTED = 12
 """Largest number of lost features that one log line lists."""
 
 _CUSTOM_DATA_KEY = "lumisplat"
-"""Key in a prim's customData whose dictionary holds the Lumisplat settings that OpenUSD has no attribute for."""
+"""Key in a prim's customData. Its value is a dictionary of the Lumisplat settings for which OpenUSD has no attribute.
+"""
 _UNIT_ERROR = 1e-9
-"""Difference from 1 up to which metersPerUnit counts as 1, so that no change of unit is logged."""
+"""metersPerUnit counts as 1, and no change of unit is logged, if it differs from 1 by at most this."""
 
 _ROOT = "/World"
 """Path of the default prim, the parent of all written prims."""
@@ -62,7 +63,7 @@ class Remarks:
     names: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
 
     def add(self, remark: str, name: str = "") -> None:
-        """Records a feature that is left out, or read in another way than the file means it.
+        """Records a feature of a file that Lumisplat leaves out, or reads with another meaning than the file gives it.
 
         Args:
             remark: The feature, such as ``"the range of lights"``.
@@ -300,14 +301,15 @@ class StageWriter:
 
     path: Path
     up: Vector
-    """Up direction of the scene to write, a unit vector; other directions than z become y."""
+    """Up direction of the scene to write, a unit vector. In the stage, z up stays z up, and any other direction
+    becomes y."""
     stage: Any = field(init=False)
     remarks: Remarks = field(init=False)
     files: dict[str, bytes] = field(default_factory=dict[str, bytes])
     """Contents of the texture files to write next to the layer, by file name."""
     _textures: dict[int, tuple[Texture, str]] = field(default_factory=dict[int, "tuple[Texture, str]"])
-    """Textures written so far, by ``id`` of their texels: the texels, kept so that the id stays unique, and asset
-    path."""
+    """Texels and asset path of each texture written so far, by the ``id`` of the texels. The texels are stored so that
+    no other object gets their id."""
     _paths: set[str] = field(default_factory=set[str])
 
     def __post_init__(self) -> None:
@@ -392,7 +394,7 @@ def _png_bytes(texels: Texture) -> bytes:
 
 
 class PlacedPrim(NamedTuple):
-    """A prim with its transform to the world. A prim that is instanced several times gives one for each instance."""
+    """A prim with its transform to the world. A prim with several instances has one `PlacedPrim` for each instance."""
 
     prim: Any
     world_from_prim: Doubles
@@ -421,7 +423,7 @@ class PlacedPrim(NamedTuple):
 
 
 def placed_prims(file: UsdFile) -> Iterator[PlacedPrim]:
-    """Yields all active, defined prims of a file, parents first, once for each of their instances.
+    """Yields all active, defined prims of a file, parents first; a prim with several instances is yielded for each.
 
     Raises:
         FormatError: There are more than `USD_INSTANCES_MAX` prims or instances.

@@ -2,7 +2,7 @@
 
 An asset with one instance is written directly, an asset with several as a prototype with scene-graph instances. Actors
 and moving cameras get time samples, one time code per frame. The stage is built in memory, then written as a layer with
-a texture folder beside it, or as a .usdz package with both.
+a texture folder beside it, or as a .usdz package that contains layer and textures.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def _name(instance: Instance) -> str:
 
 
 def _key(instance: Instance) -> tuple[int, int, int]:
-    """Returns ids of an instance's asset and material, and its settings. Equal keys share a USD prototype."""
+    """Returns the asset's id, the material's id and the settings of an instance. Equal keys share a USD prototype."""
     if isinstance(instance, MeshInstance):
         return id(instance.mesh), 0, int(instance.shadow_catcher)
     return id(instance.gaussians), id(instance.material), instance.sh_degree + 4 * instance.shadow_catcher
@@ -187,7 +187,7 @@ def _define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:
 
 
 def _mesh_values(mesh: Mesh) -> dict[str, Any]:
-    """Returns the attributes of a mesh prim that may differ from frame to frame, by name, without its faces."""
+    """Returns by name the attributes of a mesh prim that may differ from frame to frame; faces are left out."""
     vt = pxr().Vt
     values = {
         "points": vt.Vec3fArray.FromNumpy(mesh.positions),
@@ -214,7 +214,7 @@ def _colors(mesh: Mesh) -> Any:
 
 
 def _write_motion(writer: StageWriter, assets: AssetWriter, animation: Animation) -> None:
-    """Writes the actors and the camera path of an animation as time samples, and its frame range and rate.
+    """Writes the actors and the camera path of an animation as time samples, and the animation's frame range and rate.
 
     Transforms, and the attributes of deforming prims, have a time sample at each frame where they change. Readers
     interpolate between frames.
@@ -246,7 +246,7 @@ class _Samples:
 
     prim: Any
     _last: dict[str, tuple[int, Any, Any]] = field(default_factory=dict[str, "tuple[int, Any, Any]"])
-    """By attribute name: frame, value and ``mark`` of the last value that `add` wrote."""
+    """Frame, value and ``mark`` of the last value that `add` wrote, by the attribute's name."""
 
     def add(self, frame: int, name: str, value: Any, mark: Any) -> None:
         """Records the value of an attribute at a frame.
@@ -254,8 +254,9 @@ class _Samples:
         Args:
             frame: The frame, which is also the time code.
             name: The attribute.
-            value: Its value.
-            mark: Compared with that of the frame before: if equal, the value has not changed and is not written.
+            value: Value of the attribute.
+            mark: Cheap substitute for comparing values: equal marks mean equal values. A value whose mark equals the
+                mark of the last written value is not written.
         """
         attribute = self.prim.GetAttribute(name)
         if name == _TRANSFORM_OP and not attribute:
@@ -316,7 +317,7 @@ def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]
 
 
 def _varying_values(instance: Instance) -> dict[str, Any]:
-    """Returns the attributes of a capture's or mesh's prim that may differ from frame to frame, by name."""
+    """Returns by name the attributes of an instance's prim that may differ from frame to frame."""
     if not isinstance(instance, MeshInstance):
         return particle_values(instance.gaussians)
     mesh, vt = instance.mesh, pxr().Vt
