@@ -1,4 +1,4 @@
-"""Structs of training: parameters, optimiser steps, losses and images; also weights of pixels, and incident light."""
+"""Structs of training: parameters, optimiser steps, losses, images, pixel weights, and incident light."""
 
 import warp as wp
 
@@ -37,8 +37,8 @@ class StepRates:
     """Bias correction of the first moment, 1 / (1 - beta1^step); ``second_scale`` corrects the second moment."""
     second_scale: float
     by_opacity: float
-    """Gradient that the opacity regulariser adds to each Gaussian's opacity; ``by_scale``: the scale regulariser, to
-    scales."""
+    """Gradient that the opacity regulariser adds to each Gaussian's opacity; ``by_scale`` is added to scales by the
+    scale regulariser."""
     by_scale: float
 
 
@@ -59,7 +59,8 @@ class SplatRecord:
     motion: wp.array[float]
     """Sum over frames of |d loss / d image position| as in AbsGS, with the position in units of half the image size."""
     turns: wp.array[float]
-    """Sum over frames of the length of the surface losses' gradient with respect to rotating the Gaussian's normal.
+    """Sum over frames of the length of a gradient: of the surface losses with respect to rotating the Gaussian's
+    normal.
 
     Each term is multiplied by the summed pixel weights of the loss, so that it does not depend on the image size."""
     frames: wp.array[float]
@@ -100,7 +101,7 @@ class Exposure:
 
 @struct
 class SurfaceTerms:
-    """Weights of the surface losses, divided by the sum of the pixel weights, and encoding of the depth they use."""
+    """Weights of the surface losses, divided by the sum of the pixel weights, and the encoding of depths in them."""
 
     normals: float
     depth: float
@@ -139,7 +140,7 @@ class SmoothnessMaps:
 
 @struct
 class LossMaps:
-    """Images blurred by the SSIM window, which are then overwritten by derivatives; one element for each pixel."""
+    """Images blurred by the SSIM window, later overwritten by derivatives; one element for each pixel."""
 
     shown: wp.array[wp.vec3]
     """Blurred rendered frame, then d loss / d blurred frame."""
@@ -186,8 +187,7 @@ class DirectionalLight:
     environment: wp.array[wp.vec3]
     """Environment radiance from each of K directions, linear."""
     open: wp.array2d[float]
-    """Fraction, 0..1, of the environment's light from direction k that nothing blocks before Gaussian i, shape (N, K).
-    """
+    """Fraction, 0..1, of the environment's light from direction k that reaches Gaussian i unblocked, shape (N, K)."""
     seen: wp.array2d[wp.vec3]
     """Linear radiance of the surfaces that block the environment from Gaussian i in direction k, shape (N, K).
 

@@ -1,8 +1,8 @@
 """BVH nodes: slab tests of packets and single rays against child boxes, traversal stacks, and ray footprints.
 
-A packet is bounded by a box around its ray origins, which widens along each axis with the slowest and fastest ray.
-Relative to this moving box, each of a child box's six planes bounds the packet's distances by a linear inequality. A
-single ray is a packet of zero width.
+A packet is bounded by a box around its ray origins that grows with distance: along each axis, its two sides move with
+the slowest and the fastest ray. Relative to this moving box, each of a child box's six planes bounds the packet's
+distances by a linear inequality. A single ray is a packet of zero width.
 
 The equations are in docs/method/ray_tracing.md#traversal.
 """
@@ -18,17 +18,17 @@ TRAVERSE_MARGIN = 1e-6
 """
 
 FOOTPRINT_REACH = 3.7
-"""Largest distance in standard deviations at which any ray hits a Gaussian, over all kernel degrees and opacities."""
+"""Rays hit a Gaussian at most this many standard deviations from its mean, whatever its kernel degree and opacity."""
 
 FOOTPRINT_LEAD = 1.1
-"""A Gaussian is widened at most by this factor times the ray's footprint at the near end of its ellipsoid.
+"""A ray widens a Gaussian by at most this factor times the ray's footprint where the Gaussian's ellipsoid begins.
 
-Otherwise it is widened by the footprint at its mean. With the limit, the boxes of nodes need not be widened by more
-than the ray's footprint at the box."""
+Up to this limit, the Gaussian is widened by the footprint at its mean. With the limit, the boxes of nodes need not be
+widened by more than the ray's footprint at the box."""
 
 FOOTPRINT_MAX = 0.1
-"""Largest footprint, as a standard deviation over path length, by which rays widen Gaussians; no practical one is
-larger."""
+"""Largest footprint, as a standard deviation over path length, by which rays widen Gaussians; practical footprints are
+smaller."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 
@@ -128,7 +128,7 @@ def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
 
 @wp.func
 def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end: float) -> Children:
-    """Returns, for each child box, a lower bound of the distance at which a Gaussian's mean in it projects onto a ray.
+    """Returns, for each child box, a lower bound of the distances at which Gaussians' means in it project onto a ray.
 
     ``entries`` are the distances at which rays enter the boxes. The bound is 2 FAR if no ray enters the box before
     ``end``, or if all means in the box project before ``begin``.
@@ -198,8 +198,8 @@ def footprint_variance(footprint: float, path: float, largest_scale: float) -> f
     """Returns the variance by which a ray widens a Gaussian, object space: its squared footprint at the mean.
 
     ``footprint`` is a standard deviation over the path length, ``path`` the path length to the projection of the mean.
-    If an ellipsoid of ``largest_scale``, world space, may begin long before its mean, a nearer and smaller footprint is
-    used, so that the boxes of nodes need not be wider than the footprints of their rays.
+    Where an ellipsoid of ``largest_scale``, world space, may begin long before its mean, the smaller footprint near
+    that beginning is used instead: the boxes of nodes then need not be wider than the footprints of their rays.
     """
     width = footprint * larger(lesser(path, LEAD * (path - REACH * largest_scale)), 0.0)
     return width * width

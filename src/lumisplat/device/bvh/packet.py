@@ -160,10 +160,11 @@ return most;
 
 @wp.func_native(_on_cuda(_GROUP.replace("GROUP_MIN", str(GROUP_MIN)), "return 0;"))
 def group_of(origin: wp.vec3, direction: wp.vec3, radius: float, spread: float) -> int:
-    """Returns the CUDA threads of this thread's warp that traverse the BVH with it, as a bit mask; 0: none do.
+    """Returns the CUDA threads of this thread's warp that traverse the BVH with it, as a bit mask; 0: it goes alone.
 
-    The rays of a group have origins within ``radius`` of that of its first ray, and directions within ``spread`` of its
-    direction. All threads of the warp that have a ray must call the function together.
+    Each ray of a group starts within ``radius`` of the first ray's origin, and its direction differs from the first
+    ray's by a vector of at most length ``spread``. All threads of the warp that have a ray must call the function
+    together.
     """
     ...
 
@@ -208,7 +209,7 @@ class NodeStack:
     """Warp type and constructor of a packet's traversal stack, generated for one capacity."""
 
     storage: Any
-    """Warp struct of the kernel's local variable whose memory the stack uses."""
+    """Struct type of the kernel's local variable that holds the stack's memory."""
     node_stack: Any
 
 
@@ -288,7 +289,7 @@ def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: Waiting
 
 @wp.func
 def set_floors(stack: wp.array[WaitingNode], base: int, top: int):
-    """Sets ``floor`` of stack entries ``base`` to ``top - 1``: the smallest ``entry`` of the entry and all below it."""
+    """Sets ``floor`` of stack elements ``base`` to ``top - 1``: the smallest ``entry`` of the element and all below."""
     below = float(FAR)
     if base > 0:
         below = stack[base - 1].floor
@@ -320,7 +321,7 @@ class RayPacket(NamedTuple):
     vec3s: Any
     """Matrix type with rows x, y and z and one column for each ray of a packet."""
     rays_storage: Any
-    """Warp struct of the kernel's local variable whose memory the arrays of PacketRays point to."""
+    """Struct type of the kernel's local variable that holds the memory of the arrays of PacketRays."""
     packet_rays: Any
     ends_of: Any
     largest: Any
@@ -341,7 +342,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @struct
     class RaysStorage:
-        """Local variable of a kernel whose memory the arrays of PacketRays point to."""
+        """Local variable of a kernel that holds the memory of the arrays of PacketRays."""
 
         origin: Vec3s
         direction: Vec3s
@@ -368,7 +369,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def ends_of(rays: RayData, limits: wp.array[float], first: int) -> Floats:
-        """Returns the end distance of each ray from ``first`` on, at most FAR; -FAR if inactive or if it ends at 0."""
+        """Returns the end distance of each ray from ``first`` on, at most FAR; -FAR: inactive, or the ray ends at 0."""
         ends = Floats(-FAR)
         for lane in range(LANES):
             if rays.is_active[first + lane] and limits[first + lane] > 0.0:
@@ -429,10 +430,10 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def slabs_of(packet: PacketRays) -> Slabs:
-        """Returns the bounding volume of a packet's unfinished rays: a box around the origins that widens on its way.
+        """Returns the bounding volume of a packet's unfinished rays: a box around the origins that grows on its way.
 
-        It includes the rays of the other CUDA threads of the group. It is widened by the footprints, because rays hit
-        widened Gaussians (docs/method/ray_tracing.md#footprints).
+        The volume includes the rays of the other CUDA threads of the group. It is widened by the footprints, because
+        rays hit widened Gaussians (docs/method/ray_tracing.md#footprints).
         """
         low = wp.vec3(FAR)
         high = wp.vec3(-FAR)

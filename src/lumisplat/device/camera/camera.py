@@ -19,7 +19,10 @@ DISTORTION_RESIDUAL_FLOAT = 2e-6
 It corresponds to 16 roundings of float32, a hundredth of a pixel of the largest images."""
 
 SHUTTER_STEPS = 5
-"""Fixed-point iterations that find the row, and so the time, at which a rolling shutter exposes a point (as 3DGUT)."""
+"""Number of fixed-point iterations that find the row, and thereby the time, at which a rolling shutter exposes a
+point.
+
+3DGUT uses the same iteration."""
 
 # --- Lens distortion, and its inverse by Newton's method (docs/method/ray_tracing.md#distortion) ---
 
@@ -130,9 +133,9 @@ def pixel_spread(camera: CameraData, u: float, v: float) -> float:
 def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
     """Generates the ray of a sample through pixel (x, y); its direction is zero outside the view of a fisheye or lens.
 
-    With an aperture, the ray starts on the lens and crosses the pinhole ray where that is in focus: on a plane
-    perpendicular to the axis. For a fisheye, which may see behind itself, the focus surface is a sphere and the lens is
-    perpendicular to the pinhole ray.
+    With an aperture, the ray starts on the lens and crosses the pinhole ray at the focus plane, perpendicular to the
+    axis. A fisheye may see behind itself: its focus surface is therefore a sphere, and its lens is perpendicular to the
+    pinhole ray.
     """
     ray = Ray()
     u = (float(x) + camera.offset[0] - camera.center[0]) / camera.focal[0]

@@ -51,7 +51,7 @@ def pixel_number(ray: int, camera: wp.array[CameraData]) -> int:
 def is_in_window(camera: CameraData, x: int, y: int) -> bool:
     """Returns whether pixel (x, y) of the full frame lies before the right and the bottom edge of the rendered crop.
 
-    The pixel must be known not to lie left of or above the crop.
+    The left and the upper edge are not tested: the caller must exclude pixels beyond them.
     """
     return x < camera.left + camera.width and y < camera.top + camera.height
 
@@ -83,7 +83,7 @@ def full_pixel_of_ray(camera: CameraData, ray: int) -> wp.vec2i:
 
 @wp.func
 def full_image_index(camera: CameraData, x: int, y: int) -> int:
-    """Returns ``y * full width + x`` of a pixel of the full frame, from which its random numbers derive."""
+    """Returns ``y * full width + x`` of a pixel of the full frame; the pixel's random numbers derive from it."""
     return y * camera.full_width + x
 
 
@@ -111,8 +111,8 @@ RowFloats = wp.types.vector(length=TILE_PX, dtype=wp.float32)
 def elements_of(vector: Any) -> tuple[Any, Any, Any]:
     """Builds functions that read, set and add to element ``i`` of a vector through a reference.
 
-    Warp would copy the whole vector to read one element, and would handle negative indices when it writes one, which
-    keeps loops over pixels from being vectorised.
+    Warp's own access would copy the whole vector to read one element, and would handle negative indices to write one;
+    loops over pixels could then not be vectorised.
     """
     number = vector._wp_scalar_type_
 
@@ -141,7 +141,7 @@ def tile_corner(camera: CameraData, tile: int) -> wp.vec2i:
 
 @wp.func
 def tile_pixel(camera: CameraData, item: int) -> wp.vec2i:
-    """Returns the pixel of the full frame of element ``item`` of an array ordered tile by tile, each row by row.
+    """Returns the pixel, in the full frame, of element ``item`` of an array that stores tile by tile, each row by row.
 
     The pixel may lie outside the crop.
     """

@@ -22,9 +22,9 @@ from lumisplat.device.structs.shading import CatcherLight, ShadingScene, WaveDat
 
 @wp.func
 def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
-    """Returns the iso-opacity surface of the Gaussians on ray ``i`` or, if it is not reached, the mesh behind them.
+    """Returns the iso-opacity surface of the Gaussians on ray ``i``; if opacity stays lower, the mesh behind them.
 
-    Its normal is a blend of the normals of all Gaussians on the ray and of the mesh.
+    The returned normal is a blend of the normals of all Gaussians on the ray and of the mesh.
     """
     surface = FirstSurface()
     surface.depth = wave[0].gaussians.depth[i]
@@ -65,7 +65,7 @@ def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array[wp.vec3]):
-    """Adds the colour of sample number ``sample``, from 0, to a pixel of ``image``, which stores the mean of all."""
+    """Updates a pixel's mean colour in ``image`` by the colour of its sample number ``sample``, counted from 0."""
     if sample == 0:
         image[pixel] = color
     else:
@@ -124,9 +124,9 @@ def captured_factor(
     """Returns the factor, per channel, by which added objects change a pixel's captured colour.
 
     ``whole`` is the pixel's captured colour, ``part`` the part of it that a shadow catcher contributes, and
-    ``radiance`` the catcher's colour, linear and not premultiplied. ``change`` and ``emitted_change`` are the added
-    objects' change of the catcher's irradiance by lights and by captured colours; ``blocked`` is the ambient irradiance
-    that they block.
+    ``radiance`` the catcher's colour, linear and not premultiplied. The added objects change the catcher's irradiance
+    from lights by ``change``, change that from captured colours by ``emitted_change``, and block the ambient irradiance
+    ``blocked``.
     """
     factor = wp.vec3(1.0)
     for channel in range(3):
@@ -172,7 +172,7 @@ def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[W
 
 @wp.func
 def sample_of_pixel(pixel: int, film: wp.array[FilmData]) -> PixelSample:
-    """Returns the one sample of a pixel in frames of one sample, which the pixel's images store."""
+    """Returns the only sample of a pixel from the pixel's images, in frames of one sample."""
     sample = PixelSample()
     sample.color = film[0].pixels.color[pixel]
     sample.alpha = film[0].pixels.alpha[pixel]
@@ -291,7 +291,7 @@ def develop(pixel: int, film: wp.array[FilmData]):
 
 @wp.func
 def sample_variance(pixel: int, film: wp.array[FilmData]) -> wp.vec3d:
-    """Returns the variance of a single sample of a pixel, per channel, which must have two or more samples."""
+    """Returns the variance, per channel, of a single sample of a pixel; the pixel must have two or more samples."""
     return film[0].sums.squares[pixel] / wp.float64(film[0].count[pixel] - 1)
 
 
@@ -299,7 +299,7 @@ def sample_variance(pixel: int, film: wp.array[FilmData]) -> wp.vec3d:
 def relative_variance(pixel: int, least: float, film: wp.array[FilmData]) -> float:
     """Returns ``variance / max(luminance, least)^2`` of a single sample of a pixel; inf with fewer than two samples.
 
-    The variance is that of the luminance, and the luminance is the mean over the pixel's samples.
+    ``variance`` is the variance of the luminance, and ``luminance`` its mean over the pixel's samples.
     """
     if film[0].count[pixel] < 2:
         return wp.inf

@@ -51,11 +51,11 @@ class HitMoments:
     g is d loss / d d^2 of the hit, c the canonical vector from the mean to the ray, and s the scale widened by the
     footprint."""
     path: wp.vec3
-    """Gradient with respect to the mean by its distance along the rays, which sets their footprint width; object
-    space.
+    """Gradient with respect to the mean, object space, through the footprint width: rays widen with the distance of
+    the mean.
     """
     largest: float
-    """Gradient with respect to the largest scale by the limit that it sets to the rays' footprint width; object space.
+    """Gradient with respect to the largest scale, object space, through the footprint width, which this scale limits.
     """
 
 
@@ -67,9 +67,9 @@ NEAREST2 = wp.constant(wp.float32(1.0e-30))
 def log_alpha_gradient(alpha: float, before: float, shown: float, behind: float) -> float:
     """Returns d loss / d log(alpha) of a hit: ``alpha (before * shown - behind) / (1 - alpha)``.
 
-    It is 0 if alpha is clamped at its largest value. ``before`` is the transmittance in front of the hit, and ``shown``
-    its colour times the pixel's colour gradient. ``behind`` is the sum of the loss terms of this hit and all that is
-    behind it, as in ``RayGradient.behind``.
+    It is 0 if alpha is clamped at its largest value. ``before`` is the transmittance in front of the hit. ``shown`` is
+    the hit's colour times the pixel's colour gradient. ``behind`` is the sum of the loss terms of this hit and of
+    everything behind it, as in ``RayGradient.behind``.
     """
     return wp.where(alpha < ALPHA_LIMIT, alpha * (before * shown - behind) / (1.0 - alpha), 0.0)
 
@@ -183,7 +183,8 @@ def add_color(
 ) -> RayMotion:
     """Adds the gradients of SH and mean of Gaussian ``i``, by its view-dependent colour, to ``out``.
 
-    ``by_color`` is d loss / d colour. Returns ``motion`` plus the gradient by the eye, which moves with the rays.
+    ``by_color`` is d loss / d colour. Returns ``motion`` plus the gradient with respect to the eye, because the eye
+    moves with the rays.
     """
     if instance.shows_albedo != 0:
         return motion

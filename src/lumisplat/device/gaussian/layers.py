@@ -23,8 +23,8 @@ More parallel layers need a larger height, see ``LAYER_RISE``."""
 LAYER_HEIGHT = 0.0625
 """A Gaussian is of another layer only if its mean is higher above the surface than this fraction of the shadow offset.
 
-By default, the shadow offset is four scales, and the height a quarter of a scale. It is also the smallest distance of
-the ray's origin from the plane of this Gaussian, unless the ray hits the Gaussian from the front."""
+By default, the shadow offset is four scales, and the height a quarter of a scale. The ray's origin must also be at
+least this far from the Gaussian's plane, unless the ray hits the Gaussian from the front."""
 
 LAYER_RISE = 1.0
 """Added to ``LAYER_HEIGHT`` for each unit by which the cosine between two layers' normals exceeds ``LAYER_COSINE``.
@@ -35,8 +35,8 @@ It is a fraction of the shadow offset; for parallel layers, the height becomes 2
 LAYER_LIFT = 0.0625
 """Height above a surface of Gaussians at which rays that leave it start, as a fraction of the shadow offset.
 
-It is a quarter of a scale by default. From inside a layer, rays along the layer would leave it below and see the light
-of its other side (docs/adr/0088)."""
+It is a quarter of a scale by default. A ray along the layer that started inside the layer would come out below and see
+the light on the other side (docs/adr/0088)."""
 
 COSINE = wp.constant(wp.float32(LAYER_COSINE))
 FLATNESS = wp.constant(wp.float32(LAYER_FLATNESS))

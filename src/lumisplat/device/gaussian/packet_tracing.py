@@ -1,7 +1,7 @@
 """Packet tracing: intersection of rays with a Gaussian, hit lists, and blending of final hits.
 
-The strategies differ in two places. STRATEGY_HIT accepts each hit at random before it enters the list, which then holds
-one hit. STRATEGY_PASS accepts the blended hits at random after every k of them
+The strategies differ in two places. STRATEGY_HIT accepts each hit at random before the hit enters the list, and the
+list holds only one hit. STRATEGY_PASS decides at random, after every k blended hits, whether these are accepted
 (docs/method/ray_tracing.md#strategies).
 """
 
@@ -73,8 +73,8 @@ def packet_hits_of(lanes: int) -> PacketHits:
         """Intersects each ray of a packet with a Gaussian, widened by the ray's footprint.
 
         Returns three values per ray: the distance by which hits are sorted (FAR without a hit), the squared canonical
-        distance at the peak of the response, and HIT_NONE, HIT_FAR or HIT_NEAR. Hits peak before ``t_max``. Those that
-        peak no farther than ``t_min``, or ``begin`` if that is smaller, are HIT_NEAR.
+        distance at the peak of the response, and HIT_NONE, HIT_FAR or HIT_NEAR. Hits peak before ``t_max``. A hit is
+        HIT_NEAR if it peaks no farther than the smaller of ``t_min`` and ``begin``.
         """
         origin = packet.origin
         direction = packet.direction
@@ -187,8 +187,9 @@ def packet_hits_of(lanes: int) -> PacketHits:
     ) -> int:
         """Turns each HIT_NEAR into HIT_NONE unless the Gaussian is of another layer than the ray's surface.
 
-        Returns 0 if no ray is left with a hit. ``kind`` has the kind of each ray's hit; ``begin`` is the distance up to
-        which a response peak counts as near. ``first`` is the index of the packet's first ray in ``rays``.
+        Returns 0 if no ray has a hit left, else another number. ``kind`` has the kind of each ray's hit. ``begin`` is
+        the distance up to which a response peak counts as near. ``first`` is the index of the packet's first ray in
+        ``rays``.
         """
         found = int(0)
         for lane in range(LANES):
@@ -309,7 +310,7 @@ def blend_hits(
     radiance: GaussianHits,
     profiles: wp.array[HitProfiles],
 ) -> bool:
-    """Blends the hits of ray ``i`` in its list that are nearer than ``bound``, where no nearer hit can follow.
+    """Blends those hits in the list of ray ``i`` that are nearer than ``bound``; no nearer hits can be found any more.
 
     Returns whether the ray is opaque afterwards. ``profiles``, if given, receives every blended hit.
     """
@@ -410,7 +411,7 @@ def blend_final_hits(
     radiance: GaussianHits,
     profiles: wp.array[HitProfiles],
 ) -> float:
-    """Blends the hits of all rays that are nearer than ``bound``, where traversal can find no nearer ones.
+    """Blends those hits of all rays that are nearer than ``bound``; traversal can find no more hits nearer than that.
 
     Returns the distance of the nearest hit that is left in any list; FAR: none.
     """
@@ -444,7 +445,7 @@ def close_last_pass(
     i: int,
     radiance: GaussianHits,
 ):
-    """STRATEGY_PASS: decides at random whether ray ``i`` ends, after its last hits, fewer than ``hits_per_pass``."""
+    """STRATEGY_PASS: decides at random whether ray ``i`` ends at its last hits, if these are fewer than a full pass."""
     if progress.blended > 0:
         index = progress.last_index
         depth = surface_distance(scene, ray_of(rays, i), t_max, index, progress.last_t)
@@ -456,7 +457,7 @@ class PacketTracing(NamedTuple):
     """Warp types and functions that trace packets, generated for one number of rays per packet."""
 
     storage: Any
-    """Warp struct of the kernel's local variable whose memory the arrays of a TracedPacket point to."""
+    """Struct type of the kernel's local variable that holds the memory of the arrays of a TracedPacket."""
     traced_packet: Any
     buffer_hits: Any
 
@@ -472,7 +473,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @struct
     class TracedStorage:
-        """Local variable of a kernel whose memory the arrays of a TracedPacket point to."""
+        """Local variable of a kernel that holds the memory of the arrays of a TracedPacket."""
 
         rays: storage_of(RayProgress, lanes)
         hits: storage_of(Hit, HITS)
@@ -491,9 +492,9 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def hits_before_cut(traced: TracedPacket, t: wp.ref[Floats], kind: Ints, index: int) -> int:
-        """Sets the distance to FAR for rays that miss the Gaussian, or hit it beyond ``cut_t`` of their list.
+        """Sets the distance to FAR for each ray that misses the Gaussian, or hits it from ``cut_t`` of its list on.
 
-        Returns 0 if no hit is left.
+        Returns 0 if no hit is left, else 1.
         """
         found = int(0)
         distances = t

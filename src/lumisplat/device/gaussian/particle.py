@@ -257,8 +257,8 @@ def surface_peak(
     """Returns the distance along a ray at which a Gaussian responds most, at most three largest scales from its mean.
 
     The limit matters where pixel footprints show a Gaussian beyond its extent. ``away`` is the mean relative to the
-    ray's origin and ``along`` the direction, object space. ``middle``, the distance of the mean, ``largest_scale`` and
-    the result are in units of the length of ``along``.
+    ray's origin, ``along`` the ray's direction, both object space. ``middle`` is the distance of the mean. ``middle``,
+    ``largest_scale`` and the result are in units of the length of ``along``.
     """
     # Canonical space times the smallest scale, so that flat Gaussians stay inside float32.
     ratio = wp.cw_div(wp.vec3(wp.min(scale)), scale)
@@ -284,8 +284,9 @@ def surface_distance(
 ) -> float:
     """Returns the distance along a pixel's ray at which Gaussian ``i`` of instance ``number`` responds most.
 
-    It is limited to the mesh behind. ``ray`` is in camera space with z = 1, ``distance`` the distance along it at the
-    mean's view depth, and ``mesh_z`` the view depth of the pixel's mesh; inf: none.
+    It is at most the distance of the mesh behind. ``ray`` is in camera space with z = 1. ``distance`` is the distance
+    along the ray at the view depth of the Gaussian's mean, and ``mesh_z`` the view depth of the pixel's mesh; inf:
+    none.
     """
     # Fields are read one by one, because copying these structs for each pixel would cost more than the depth.
     asset = instances[number].asset

@@ -96,12 +96,12 @@ def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: 
 
 @wp.func
 def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
-    """Ends a ray with a probability equal to the opacity of the hits blended since the last decision, or starts anew.
+    """Ends a ray at random, with a probability equal to the opacity of the hits blended since the last decision.
 
-    An accepted pass stands for the whole ray: the transmittance becomes 0, and the surface becomes ``last``, its
-    farthest Gaussian, if the pass has none. After a rejected pass, the next pass starts empty. The expectation equals
-    full blending: a pass is reached with the transmittance of the passes before it, accepted with its opacity, and
-    divided by its opacity.
+    If it ends, these hits (the pass) stand for the whole ray: the transmittance becomes 0, and the surface becomes
+    ``last``, their farthest Gaussian, if they have no surface. Otherwise, the next pass starts empty. The expectation
+    equals full blending: a pass is reached with the transmittance of the passes before it, accepted with its opacity,
+    and divided by its opacity.
     """
     opacity = 1.0 - pixel.transmittance
     if draw(sample_key, wp.uint32(last)) >= opacity:

@@ -1,4 +1,4 @@
-"""Light grid: world-space cells that each store a few random lights out of many, from which surfaces choose one.
+"""Light grid: world-space cells, each with a few lights drawn at random from many; surfaces choose one of these.
 
 Without a grid, surfaces in real-time rendering choose lights as paths do. See docs/method/realtime.md#light-grid.
 """
@@ -155,7 +155,7 @@ def grid_cell(key: wp.int64) -> GridCell:
 
 @wp.func
 def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> float:
-    """Estimates the irradiance by a light on surfaces in a cell that face it; above 0 if any of them receives light.
+    """Estimates the irradiance by a light on surfaces in a cell that face it; above 0 if any point of the cell is lit.
 
     ``environment_mean`` is the mean luminance of the environment.
     """
@@ -204,7 +204,7 @@ def chance_below(limit: float) -> float:
 def grid_light(
     u: float, cell: int, interaction: Interaction, grid: LightGrid, scene: wp.array[ShadingScene]
 ) -> LightChoice:
-    """Chooses one of the lights stored for ``cell``, in proportion to importance over probability of being stored.
+    """Chooses a light stored for ``cell`` with a chance proportional to importance / probability of being stored.
 
     The importance is the light's estimated irradiance at the interaction. ``u`` is random, 0..1. No light is chosen
     (index -1) if ``cell`` is -1 or all importances are 0.

@@ -16,8 +16,8 @@ from lumisplat.device.structs.camera import CameraData
 class ProbeGrid:
     """Numbers and sizes of a frame's screen probes, in a 1-element array.
 
-    Each tile of pixels has a probe of its own, with the index of the tile in row order, and may have one adaptive probe
-    for surfaces that the first does not lie on. Adaptive probes are numbered after those of all tiles.
+    Each tile of pixels has its own probe, numbered by tile in row order. A tile may also have one adaptive probe, for
+    surfaces on which its own probe does not lie. Adaptive probes are numbered after the own probes of all tiles.
     """
 
     width: int
@@ -33,8 +33,8 @@ class ProbeGrid:
     history: float
     """Largest weight, in samples, of a map cell's mean when a new sample is added to it."""
     offset: float
-    """Gaussians nearer to a probe than this factor times the largest scale of the probe's Gaussian do not block its
-    rays."""
+    """Gaussians nearer to a probe than this factor times the largest scale of the probe's Gaussian do not block the
+    probe's rays."""
     frame: int
     has_history: int
     """1: the previous frame is of the same sequence, so that its probes are continued; 0: all probes start anew."""
@@ -60,14 +60,14 @@ class ProbeData:
     source: wp.array[int]
     """Index of the probe of the previous frame that this probe continues; -1: this probe is new."""
     refresh_count: wp.array[int]
-    """Number of frames in which the probe, or the one it continues, has traced rays."""
+    """Number of frames in which the probe, or the previous probes that it continues, traced rays."""
     refreshed: wp.array[int]
     """Number of the last frame in which the probe traced rays; undefined if it never did."""
 
 
 @struct
 class ProbeCells:
-    """Cells of the probes' octahedral maps of incoming light: probe by probe, each in row order."""
+    """Cells of the probes' octahedral maps of incoming light: probe by probe, and in row order within each map."""
 
     radiance: wp.array[wp.vec3]
     """Mean linear radiance that arrives at the probe from the cell's directions."""
@@ -124,7 +124,7 @@ class Match:
 
 
 SEARCH_ROWS = wp.constant(8)
-"""Pixels of a tile are tested for a probe on a lattice with this number of rows and columns."""
+"""The pixel for a probe is searched on a lattice of the tile's pixels with this number of rows and columns."""
 
 COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
 """Smallest cosine between the normals of a pixel and a probe on the same Gaussians, whose normals are noisy."""
@@ -132,24 +132,26 @@ COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
 COSINE_MIN_MESHES = wp.constant(wp.float32(0.95))
 
 SHARE_MIN = wp.constant(wp.float32(0.5))
-"""Pixels whose surface covers less than this fraction of them get a probe only if the tile has no other pixels."""
+"""A pixel gets a probe on a surface that covers less than this fraction of it only if the tile has no better pixel."""
 
 LOW_COVERAGE_PENALTY = wp.constant(wp.float32(1e12))
 """Added to the cost of pixels covered by less than ``SHARE_MIN``, which makes them the last choice for a probe."""
 
 ADAPTIVE_PENALTY = wp.constant(wp.float32(1e6))
-"""Pixels added to the distance of an adaptive probe when a tile's own probe looks for the one that it continues.
+"""When a tile's own probe looks for the previous probe to continue, the distance of adaptive probes grows by this,
+pixels.
 
 The two probes of a tile then do not swap from frame to frame."""
 
 CUT_OFF_STEPS = wp.constant(4)
-"""The line from a pixel to a probe in the image is divided into this many steps; in between, occluders are looked for.
+"""The line from a pixel to a probe in the image is divided into this many steps; points between steps are tested for
+occluders.
 """
 
 OCCLUDER_DISTANCE_MAX = wp.constant(wp.float32(0.95))
-"""A surface between pixel and probe in the image is an occluder only if it is nearer to the eye than both.
+"""A surface between pixel and probe in the image occludes the probe only if it is nearer to the eye than both.
 
-Its distance must be below this fraction of the smaller of their distances."""
+Its distance from the eye must be below this fraction of the smaller of the pixel's and the probe's distance."""
 
 DISTANCE_RATIO_MIN = wp.constant(wp.float32(0.85))
 """Two points share a probe only if the nearer one's distance from the eye is at least this fraction of the other's.
@@ -163,7 +165,7 @@ UNIT_32 = wp.constant(wp.float32(2.0**-32))
 def reach_of(grid: ProbeGrid, camera: CameraData, distance: float) -> float:
     """Returns the width of a tile of pixels, in scene units, at a distance from the eye.
 
-    Points may share a probe if they lie this close to a common plane.
+    Points may share a probe if they lie at most this far from a common plane.
     """
     width = float(grid.tile) / wp.min(camera.focal[0], camera.focal[1])
     if camera.model == ORTHOGRAPHIC:
@@ -322,10 +324,10 @@ def choose_pixel_among(
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
 ) -> ProbePlacement:
-    """Chooses the pixel of a tile for a probe: that nearest to a probe of the previous frame on the pixel's surface.
+    """Chooses the pixel of a tile for a probe: the one nearest to a previous frame's probe on the pixel's surface.
 
-    If there is none, it is the pixel nearest to ``wanted_pixel``. ``rows`` x ``rows`` pixels of the tile are tested;
-    with ``only_uncovered``, only those on whose surface no probe of this frame lies.
+    If no such probe exists, it is the pixel nearest to ``wanted_pixel``. ``rows`` x ``rows`` pixels of the tile are
+    tested; ``only_uncovered``: not those whose surface has a probe of this frame.
     """
     placement = ProbePlacement()
     placement.pixel = -1
@@ -375,7 +377,7 @@ def choose_pixel_in_tile(
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
 ) -> ProbePlacement:
-    """Chooses the pixel for the own probe of a tile; tests all pixels if a lattice of them shows no surface."""
+    """Chooses the pixel for a tile's own probe among a lattice of pixels; among all if the lattice shows no surface."""
     placement = choose_pixel_among(
         SEARCH_ROWS, tile, False, grid, camera, camera_before, surfaces, probes_before, probes_before, adaptive_before
     )

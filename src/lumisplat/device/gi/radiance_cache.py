@@ -38,7 +38,7 @@ COORDINATE_BITS: int = wp.constant(18)
 """Number of bits of a tile's key for each of its three coordinates."""
 
 CELLS_REACH: float = wp.constant(8191.0)
-"""A cell is at least as wide as its distance from the origin, along any axis, over this number.
+"""Before rounding, a cell is at least as wide as its distance from the origin, along any axis, divided by this number.
 
 Widths are then rounded down to a power of two, and cells of short rays are eight times narrower; the coordinates of all
 cells fit the key.
@@ -319,7 +319,7 @@ def cell_of_sample(grid: CacheGrid, samples: CacheSamples, i: int) -> CacheCell:
 
 @wp.func
 def slot_of(tiles: CacheTiles, key: wp.int64) -> int:
-    """Returns the slot, the index of stored data, of the tile with this key; -1: the cache has no such tile."""
+    """Returns the slot (index of the stored data) of the tile with this key; -1: the cache has no such tile."""
     live = tiles.counts[COUNT_LIVE]
     rank = first_not_below(tiles.keys, live, key)
     if rank < live:
@@ -340,7 +340,8 @@ def mean_index(slot: int, cell: int, mip: int) -> int:
 def reliable_mean(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: float, best: wp.vec4) -> wp.vec4:
     """Returns the mean over the smallest square around a cell that has at least ``samples_min`` samples.
 
-    ``best`` is a mean found before: it is returned if it has as many. If none has, the mean with the most samples is.
+    ``best`` is a mean found earlier, returned if it has that many samples. If no mean has, the mean with the most
+    samples is returned.
     """
     if best[3] >= samples_min or slot < 0:
         return best

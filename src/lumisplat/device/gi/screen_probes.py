@@ -58,7 +58,7 @@ CUT_OFF_WEIGHT = wp.constant(wp.float32(1e-3))
 any."""
 
 WEIGHT_MIN = wp.constant(wp.float32(1e-6))
-"""If the weights of the probes around a pixel sum to less, the probes are ignored."""
+"""If the weights of the probes around a pixel sum to less than this, the probes are ignored."""
 
 
 @wp.func
@@ -126,7 +126,7 @@ def add_probe(
 ):
     """Returns ``probe_sum`` with the light of probe ``i``, times ``weight``, added.
 
-    It is the radiance from ``direction`` if ``glossy``, else the irradiance for the normal ``direction``.
+    The light is the radiance from ``direction`` if ``glossy``, else the irradiance for the normal ``direction``.
     """
     if glossy:
         probe_sum.total += weight * probe_radiance(light, i, cells, direction)
@@ -151,7 +151,7 @@ def near_probes(
 ) -> ProbeSum:
     """Sums the light of the probes on the surface of ``pixel`` in the four tiles nearest to image position ``point``.
 
-    It is the radiance from ``direction`` if ``glossy``, else the irradiance for the normal ``direction``.
+    The light is the radiance from ``direction`` if ``glossy``, else the irradiance for the normal ``direction``.
     """
     probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
@@ -185,10 +185,10 @@ def wider_probes(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """Sums the light of all probes in the tile of ``pixel`` and the eight tiles around it that face the same side.
+    """Sums the light of all probes in the tile of ``pixel`` and the eight tiles around it that face the pixel's side.
 
-    They need not lie on the pixel's surface. It is the radiance from ``direction`` if ``glossy``, else the irradiance
-    for the normal ``direction``.
+    The probes need not lie on the pixel's surface. The light is the radiance from ``direction`` if ``glossy``, else the
+    irradiance for the normal ``direction``.
     """
     probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
@@ -221,11 +221,11 @@ def gathered_light(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """Returns the weighted mean of the light of the probes around a pixel, on its surface if possible.
+    """Returns the weighted mean light of probes around a pixel: those on its surface or, without any, all around.
 
-    A weight of 0 means that there are none. ``point`` is the image position, pixels, around which tiles are looked up:
-    in the pixel, or jittered by up to half a tile. The light is the radiance from ``direction`` if ``glossy``, else the
-    irradiance for the normal ``direction``.
+    A weight of 0 means that there are no probes. ``point`` is the image position, pixels, around which tiles are looked
+    up: in the pixel, or jittered by up to half a tile. The light is the radiance from ``direction`` if ``glossy``, else
+    the irradiance for the normal ``direction``.
     """
     probe_sum = near_probes(pixel, point, direction, glossy, grid, camera, surfaces, probes, adaptive_of, light)
     if not probe_sum.weight > WEIGHT_MIN:
@@ -239,9 +239,9 @@ def gathered_light(
 # --- Rays of probes, and filtering between neighbouring probes ---
 
 RISE = wp.constant(wp.float32(1e-4))
-"""Probe rays start this far above a mesh, as a fraction of the largest coordinate or of the distance from the eye.
+"""Height above a mesh at which probe rays start, as a fraction of a length.
 
-The larger of both counts.
+The length is the largest coordinate of the probe or its distance from the eye, whichever is larger.
 """
 
 NEVER = wp.constant(2**31 - 1)
@@ -253,9 +253,9 @@ BAYER = wp.constant(wp.types.vector(length=16, dtype=wp.int32)(0, 8, 2, 10, 12, 
 """Order in which the probes of 4 x 4 tiles are refreshed; any first n of them are spread evenly."""
 
 ANGLE_MAX = wp.constant(wp.float32(0.2))
-"""Map cells of two probes are averaged if their hits differ in direction by at most this angle, in cell widths.
+"""Largest angle, in cell widths, at which the map cells of two probes are averaged.
 
-It is the angle, at one probe, between the cell's direction and the hit of the other probe's cell."""
+Seen from one probe, it is the angle between the cell's direction and the point that the other probe's cell hit."""
 
 PROBE_SEED = wp.constant(wp.uint32(0x70726F62))
 """Mixed into the random seed for probe rays, so that they use other numbers than camera rays."""
@@ -309,7 +309,7 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
 
 @wp.func
 def neighbour_weight(i: int, j: int, grid: ProbeGrid, camera: CameraData, probes: ProbeData) -> float:
-    """Returns the weight of probe ``j`` when the light of probe ``i`` is filtered: 0 if ``j`` is not on its surface."""
+    """Returns the weight of probe ``j`` when the light of probe ``i`` is filtered; 0 if their surfaces differ."""
     reach = reach_of(grid, camera, probes.distance[i])
     if not fits(probes, j, probes.position[i], probes.normal[i], reach, probes.extent[i]):
         return float(0.0)
@@ -320,9 +320,9 @@ def neighbour_weight(i: int, j: int, grid: ProbeGrid, camera: CameraData, probes
 def shows_same_surface(i: int, j: int, cell: int, grid: ProbeGrid, probes: ProbeData, cells: ProbeCells) -> bool:
     """Returns whether map cell ``cell`` shows the same surface from probe ``i`` as from probe ``j``.
 
-    Seen from ``i``, the hit of the cell of ``j`` must lie in the cell's direction. The hit distance of ``j`` is limited
-    to that of ``i``, so that near surfaces are not blurred with the surfaces behind them. If the cell of ``i`` has no
-    samples, the result is True.
+    Seen from ``i``, the point that the cell of ``j`` hits must lie in the cell's direction. The hit distance from ``j``
+    is limited to the hit distance from ``i``, so that near surfaces are not blurred with the surfaces behind them. If
+    the cell of ``i`` has no samples, the result is True.
     """
     count = grid.cells * grid.cells
     if cells.samples[i * count + cell] == 0.0:

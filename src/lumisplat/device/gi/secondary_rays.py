@@ -26,13 +26,13 @@ cell.
 Without this limit, one ray in thousands would be thousands of times too bright."""
 
 LOBE_ALPHA_FROM = 0.16
-"""Highlights of larger GGX alpha (roughness 0.4) blend traced rays with screen probes; of smaller, only rays.
+"""Highlights above this GGX alpha (roughness 0.4) blend traced rays with screen probes; those below use rays only.
 
 Screen probes resolve 0.4 radians. GI-1.1 traces rays up to a roughness of 0.2, and switches to probes without a blend.
 """
 
 LOBE_ALPHA_TO = 0.25
-"""Highlights of larger GGX alpha (roughness 0.5) take their light from screen probes alone and send no rays."""
+"""Highlights above this GGX alpha (roughness 0.5) take their light from screen probes alone and send no rays."""
 
 
 @struct
@@ -49,7 +49,7 @@ class LobeRays:
     ray: wp.array[int]
     """For each square of 2 x 2 pixels, the index of its ray in ``radiance``."""
     weight: wp.array[wp.vec3]
-    """Factor of the ray's radiance in the radiance that the highlight reflects, divided by the highlight's albedo."""
+    """Factor by which the highlight reflects the ray's radiance, divided by the highlight's albedo."""
     radiance: wp.array[wp.vec3]
     """Linear radiance that arrives along each highlight ray; one element for each ray, not each square."""
 
@@ -61,7 +61,8 @@ class BouncedRays:
     emitted: wp.array[wp.vec3]
     """Linear radiance of captured colours and of mesh emission that is not sampled as a light."""
     share: wp.array[wp.vec3]
-    """Factor, in the ray's radiance, of the light that the hit surface reflects; 0: the ray hits no such surface."""
+    """Factor by which light that the hit surface reflects adds to the ray's radiance; 0: the ray hits no reflecting
+    surface."""
     sampled: wp.array[wp.vec3]
     """Linear radiance that the hit surface reflects of one sampled light, without its shadow."""
 
@@ -79,7 +80,7 @@ class OnwardRays:
     mirrored: wp.array[int]
     """1: a mirror has reflected the ray, so that it adds lights that it hits; 0: light samples found them already."""
     weights: wp.array[wp.vec3]
-    """Factor of the continued ray's radiance in that of the secondary ray with which it began."""
+    """Factor by which the continued ray's radiance adds to the radiance of the secondary ray that it continues."""
     media: wp.array[wp.vec4i]
     """Media that the ray is inside of: mesh instance indices plus one, 0: none; empty in scenes without media."""
 
@@ -122,10 +123,11 @@ def lobe_share(alpha: float) -> float:
 def lobe_radiance(
     pixel: int, slot: int, camera: wp.array[CameraData], surfaces: SurfacePixels, lobes: LobeRays
 ) -> wp.vec4:
-    """Returns, in xyz, the linear radiance that a pixel's highlight reflects, over its albedo; w is 1 if it is known.
+    """Returns the linear radiance that a pixel's highlight reflects, over the highlight's albedo, in xyz.
 
-    The light is that of the ray of the pixel's 2 x 2 square. All components are 0 if the square has no ray, or one from
-    another surface. ``slot`` is 0 for Gaussians and 1 for meshes; ``surfaces`` is the G-buffer of this kind.
+    w is 1 if the radiance is known. The light is that of the ray of the pixel's 2 x 2 square. All components are 0 if
+    the square has no ray, or one from another surface. ``slot`` is 0 for Gaussians and 1 for meshes; ``surfaces`` is
+    the G-buffer of this kind.
     """
     square = square_of(pixel, camera[0].width)
     if lobes.slot[square] != slot:
@@ -150,7 +152,7 @@ SMALLEST = wp.constant(wp.float32(MIRRORED_SOLID_ANGLE))
 
 @wp.func
 def straight_bounce(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """Returns reflection and unrefracted transmission of ray ``i`` at the mesh that it hits; zero if it has none.
+    """Returns reflection and unrefracted transmission of ray ``i`` at the mesh that it hits; zero if there are none.
 
     Both sides count as air, as for shadow rays: light leaving glass is reflected as much as light entering it.
     """
@@ -190,9 +192,9 @@ def straight_step(
 
 @wp.func
 def start_onward(i: int, kind: int, step: PathStep, wave: wp.array[WaveData], rays_out: RayData):
-    """Writes the continuation of ray ``i`` to element ``i`` of ``rays_out``, which may be the arrays it is read from.
+    """Writes the continuation of ray ``i`` to element ``i`` of ``rays_out``.
 
-    ``kind`` is the branch of its random keys.
+    ``rays_out`` may be the same arrays that hold ray ``i``. ``kind`` is the branch of the continuation's random keys.
     """
     sample_key = branch_key(wave[0].rays.sample_key[i], kind)
     pixel_key = branch_key(wave[0].rays.pixel_key[i], kind)

@@ -36,7 +36,7 @@ SAME_NORMAL_SPLATS = 0.5
 The bound is low, because these normals are noisy."""
 
 YOUNG_SHARE = 0.5
-"""A mean of few samples counts only as this fraction of its number when another sample is added.
+"""When a sample is added to a mean of few samples, the mean counts as only this fraction of its number of samples.
 
 Later samples include more bounces and are closer to the converged value. The variance is a third higher than that of
 ordinary means."""
@@ -97,11 +97,12 @@ class PixelLight:
     slot: wp.array[int]
     """Surface that the light sample lights: 0 for Gaussians, 1 for a mesh; -1: none."""
     diffuse: wp.array[wp.vec3]
-    """Linear radiance that the surface reflects diffusely of the sample, unshadowed, as if it covered the whole pixel.
+    """Linear radiance of the sampled light, unshadowed, that the surface reflects diffusely, as if it covered the
+    whole pixel.
     """
     glossy: wp.array[wp.vec3]
-    """Linear radiance that all other lobes reflect of the sample, unshadowed, as if the surface covered the whole
-    pixel."""
+    """Linear radiance of the sampled light, unshadowed, that all other lobes reflect, as if the surface covered the
+    whole pixel."""
 
 
 @struct
@@ -118,7 +119,7 @@ class SurfaceLight:
 
 @struct
 class LightHistory:
-    """Means over frames of the light of one kind of surface, Gaussians or meshes, for each pixel, in row order.
+    """For each pixel, in row order: means over frames of the light of one kind of surface, Gaussians or meshes.
 
     Each surface has a diffuse and a glossy mean as in ``SurfaceLight``, and moments of both luminances.
     """
@@ -148,9 +149,10 @@ class TemporalPixels:
     color: wp.array[wp.vec3]
     """Linear radiance of the pixel in the current frame."""
     motion: wp.array[wp.vec3]
-    """Motion since the previous frame of what the pixel shows: x and y in pixels, z in distance from the eye.
+    """Motion of what the pixel shows since the previous frame: x and y in pixels, z as change of the distance from the
+    eye.
 
-    It is that of the surface at which the pixel's ray ends, or of the background; NaN: a new surface."""
+    The pixel shows the surface at which its ray ends, or the background. NaN: a new surface."""
     instance: wp.array[int]
     """Index of the instance at which the pixel's ray ends, splat instances first; -1: the background."""
     previous_pixel: wp.array[wp.vec2]
@@ -172,7 +174,8 @@ class TemporalHistory:
     change: wp.array[float]
     """Mean over frames of the squared difference of the pixel's luminance between successive frames."""
     instance: wp.array[int]
-    """Index of the instance nearest to the eye in the 3 x 3 pixels around, last frame, splats first; -1: background."""
+    """Index, in the last frame, of the instance nearest to the eye among the 3 x 3 pixels around, splats first; -1:
+    background."""
 
 
 # --- Pixels sampled in each frame (``RealtimeConfig.light_interval``), and weights of young means ---
@@ -214,7 +217,7 @@ GONE = -2
 
 @wp.func
 def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
-    """Returns whether the instance that a pixel showed in the previous frame has moved, and no longer shows there.
+    """Returns whether a pixel no longer shows the instance of its previous frame because that moved or was removed.
 
     ``before`` is the index of this instance in the previous frame, splats first; -1: the background. ``now`` is the
     index of the instance that the pixel shows now. ``moved_to`` maps previous indices to current ones, or to
@@ -295,8 +298,8 @@ def motion_of(
 ) -> wp.vec3:
     """Returns a point's motion since the previous frame: x and y in pixels, z in distance from the eye.
 
-    ``previous`` is the point's world-space position in the previous frame. The result is NaN if that is NaN or was not
-    visible.
+    ``previous`` is the point's world-space position in the previous frame. The result is NaN if ``previous`` is NaN or
+    was not visible.
     """
     if wp.isnan(previous[0]):
         return no_position()
@@ -319,7 +322,7 @@ STILL = wp.constant(wp.float32(STILL_PX))
 
 @wp.func
 def snapped(x: float) -> float:
-    """Rounds a pixel coordinate to a whole number if it differs from it only by rounding errors."""
+    """Rounds a pixel coordinate to the nearest whole number if the two differ only by rounding errors."""
     return wp.where(wp.abs(x - wp.round(x)) < STILL, wp.round(x), x)
 
 
@@ -424,7 +427,7 @@ def glossy_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def transmitted_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Returns the fraction of uniform illumination behind rough glass that passes it to a view at ``cosine``."""
+    """Returns the fraction of uniform illumination behind rough glass that the glass passes to a view at ``cosine``."""
     if bsdf.model == BSDF_SIMPLE or not transmits(bsdf):
         return wp.vec3(0.0)
     return left_by_layers(bsdf, cosine) * (1.0 - mirrored_share(bsdf, cosine)) * bsdf.transmitted

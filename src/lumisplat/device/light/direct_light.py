@@ -47,14 +47,15 @@ class SampledLight:
     """Result of sampling one light at a surface point of a path, with and without the MIS weight."""
 
     contribution: Contribution
-    """Unshadowed contribution times its MIS weight against rays, sampled by the BSDF, that may hit the same light."""
+    """Unshadowed contribution times its MIS weight. The competing strategy is rays sampled by the BSDF that hit the
+    light."""
     unweighted: wp.vec3
     """Linear colour of the unshadowed contribution without the MIS weight."""
 
 
 LIGHT_COSINE_MIN = 0.1
-"""Smallest cosine between surface normal and direction to a light's centre in the estimate by which lights are
-selected.
+"""When lights are selected, the cosine between surface normal and direction to a light's centre counts as at least
+this.
 
 Parts of an extended light may be above the horizon although its centre is not."""
 
@@ -113,8 +114,9 @@ def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
 def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
     """Returns whether samples of light ``number`` need MIS weights, because scattered rays also hit the light.
 
-    It is False for point-like lights, which rays cannot hit, for lights whose samples are not shadowed or only up to a
-    distance, and if shadow rays use a threshold or tint. ``no_shadows``: shadows are switched off for the frame.
+    It is False for point-like lights, because rays cannot hit them, and for lights whose samples have no shadows, or
+    shadows only up to a distance. It is always False if shadow rays use a threshold or tint. ``no_shadows``: shadows
+    are switched off for the frame.
     """
     if no_shadows or scene[0].settings[0].changes_shadows != 0:
         return False
@@ -426,9 +428,10 @@ def sample_chosen(
 
 @wp.func
 def half_highlight(bsdf: Bsdf, cos_view: float) -> Bsdf:
-    """Returns the BSDF with its diffuse albedo reduced to that of the highlight, for choosing sample directions only.
+    """Returns the BSDF with its diffuse albedo reduced to the highlight's albedo, for choosing sample directions only.
 
-    At least half of the directions then come from the highlight. Otherwise, samples in it would be rare and bright.
+    At least half of the directions then come from the highlight. Otherwise, samples in the highlight would be rare and
+    bright.
     """
     half = bsdf
     mirrored = bsdf.specular
@@ -450,8 +453,8 @@ def sample_chosen_environment(
 ) -> Contribution:
     """Samples the environment, selected among the lights; the contribution is divided by the selection probability.
 
-    ``u[0] < 0.5`` samples by radiance, else by the BSDF; one sequence thus stratifies both strategies. ``u`` and
-    ``which``, which selects a lobe, are random, 0..1.
+    ``u[0] < 0.5`` samples by radiance, else by the BSDF; one sequence thus stratifies both strategies. ``which``
+    selects a lobe. ``u`` and ``which`` are random, 0..1.
     """
     lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
     samples_lobe = u[0] >= 0.5

@@ -45,9 +45,9 @@ class LobeRay:
     normal: wp.vec3
     """Unit normal of the layer of flat Gaussians at which the ray starts; zero if it starts elsewhere."""
     weight: wp.vec3
-    """Factor of the ray's radiance in the radiance that the surface reflects (BSDF times cosine over pdf).
+    """Factor by which the ray's radiance adds to the radiance that the surface reflects (BSDF times cosine over pdf).
 
-    `lobe_ray` returns the factor in the radiance of the parent ray instead."""
+    From `lobe_ray`, it is the factor to the radiance of the parent ray instead."""
 
 
 @wp.func
@@ -83,8 +83,8 @@ def highlight_share(interaction: Interaction) -> float:
 def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
     """Selects the surface that sends a highlight ray: 0 for ``splats``, 1 for ``mesh``, -1 for none.
 
-    The probabilities are proportional to the light that each highlight reflects; ``u`` is random, 0..1. The result is
-    -1 with a probability above 0 if both reflect less than ``GLOSSY_SHARE_FOLLOWED`` together.
+    The probabilities are proportional to the light that each highlight reflects; ``u`` is random, 0..1. If both
+    highlights together reflect less than ``GLOSSY_SHARE_FOLLOWED`` of the ray's light, none may be selected.
     """
     first = highlight_share(splats)
     total = first + highlight_share(mesh)
@@ -138,7 +138,8 @@ def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData
 def lobe_ray(i: int, wave: wp.array[WaveData]) -> LobeRay:
     """Selects one of the two surfaces of ray ``i``, Gaussians or mesh, and samples a ray within its highlight.
 
-    Its ``slot`` is -1 if none is selected. Its weight is the factor of its radiance in that of ray ``i``.
+    The returned ``slot`` is -1 if no surface is selected. ``weight`` is the factor by which the new ray's radiance adds
+    to the radiance of ray ``i``.
     """
     splats = interaction_of(i, wave)
     mesh = interaction_of(wave[0].interactions.exists.shape[0] // 2 + i, wave)

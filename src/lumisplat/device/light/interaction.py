@@ -34,8 +34,8 @@ from lumisplat.device.structs.shading import (
 )
 
 SMOOTH_HEIGHT_MIN = 1.0e-5
-"""Heights of the smooth surface above its triangle up to this fraction of two edges' total length count as rounding
-error."""
+"""The smooth surface's height above its triangle counts as rounding error up to this fraction of the total length of
+two edges."""
 
 SMOOTH_START_COSINE = 0.1
 """Cosine between a light and the normal of a smooth mesh's triangle above which shadow rays start on the triangle.
@@ -370,7 +370,10 @@ def mesh_interaction(
 
 @wp.func
 def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the point, moved off the mesh that ray ``i`` hits to the side of ``side``, at which new rays start."""
+    """Returns the origin of new rays at the mesh that ray ``i`` hits: the hit point, moved off the mesh by ``side``.
+
+    ``side`` is a unit normal of the triangle, world space, on the side on which the new rays continue.
+    """
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     return spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)

@@ -31,7 +31,7 @@ TINY = wp.constant(wp.float32(1e-30))
 
 @wp.func
 def window(light: LightData, distance2: float) -> float:
-    """Returns the factor, 1 to 0, by which a light fades out until its range (glTF, KHR_lights_punctual).
+    """Returns the factor, 1 to 0, by which a light fades out towards its range (glTF, KHR_lights_punctual).
 
     It is 1 for a light without range.
     """

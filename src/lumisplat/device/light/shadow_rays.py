@@ -224,8 +224,8 @@ def begin_first_hits(first_hits: FirstHits):
 def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], first: int) -> float:
     """Sets ``t_max`` of the rays before a packet enters a tree: the ray's end, or -FAR if the ray skips the tree.
 
-    A ray with ``skips`` skips trees of shadow catchers. Returns the largest of these distances, at least -FAR; nodes
-    farther away need not be visited.
+    A ray with ``skips`` skips trees of shadow catchers. Returns the largest ``t_max``, at least -FAR; nodes farther
+    away need not be visited.
     """
     is_shadow_only = tree.number != WORLD and tree.instance.shadow_catcher != 0
     reach = float(-FAR)
@@ -238,9 +238,9 @@ def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], fir
 
 @wp.func
 def shadow_begin(config: ShadowData, particle: Particle, instance: SplatInstanceData) -> float:
-    """Returns the shadow offset of a Gaussian: the distance from a surface below which it does not shadow the surface.
+    """Returns the shadow offset of a Gaussian, scene units: it casts no shadow on surfaces nearer than this distance.
 
-    The distance is in scene units; the surface's own offset applies if it is smaller.
+    If the surface's own offset is smaller, it applies instead.
     """
     return config.offset * instance.scale * particle.largest_scale + config.offset_absolute
 
@@ -273,7 +273,7 @@ class PacketAbsorption(NamedTuple):
     """Warp types and functions for shadows by all Gaussians, generated for one number of rays per packet."""
 
     storage: Any
-    """Warp struct of the kernel's local variable whose memory the arrays of an Absorption point to."""
+    """Struct type of the kernel's local variable that holds the memory of the arrays of an Absorption."""
     absorption_of: Any
     absorb: Any
 
@@ -282,7 +282,7 @@ class PacketFirstHits(NamedTuple):
     """Warp types and functions for shadows by the nearest Gaussians, generated for one number of rays per packet."""
 
     storage: Any
-    """Warp struct of the kernel's local variable whose memory the arrays of FirstHits point to."""
+    """Struct type of the kernel's local variable that holds the memory of the arrays of FirstHits."""
     first_hits_of: Any
     buffer_first_hits: Any
 
@@ -297,7 +297,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
 
     @struct
     class AbsorptionStorage:
-        """Local variable of a kernel whose memory the arrays of an Absorption point to."""
+        """Local variable of a kernel that holds the memory of the arrays of an Absorption."""
 
         transmittance: Floats
         floor: Floats
@@ -373,7 +373,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
 
     @struct
     class FirstHitsStorage:
-        """Local variable of a kernel whose memory the arrays of FirstHits point to."""
+        """Local variable of a kernel that holds the memory of the arrays of FirstHits."""
 
         lists: storage_of(HitList, lanes)
         hits: storage_of(Hit, HITS)

@@ -164,7 +164,7 @@ def reflects_light(surface: SplatSurface) -> bool:
 
 @wp.func
 def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the fraction, per channel, of a ray's linear captured colour that comes from Gaussians, not background.
+    """Returns the fraction, per channel, of a ray's linear captured colour that Gaussians give, not the background.
 
     The fraction is 0 in channels without any light. ``over_light``: linear light, instead of the background, lies
     behind.
@@ -184,7 +184,7 @@ def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[Shading
 def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp.vec2:
     """Returns roughness and metallic of Gaussian ``gaussian`` of a splat instance.
 
-    BSDF_PBR uses the values stored with the Gaussian, if there are any; else they are those of the material.
+    With BSDF_PBR, values stored with the Gaussian replace those of the material.
     """
     # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     asset = scene[0].splats[instance].asset
@@ -200,7 +200,7 @@ def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp
 
 @wp.func
 def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the point of ray ``i`` at distance ``depth``, world space, or just before the mesh if it lies behind.
+    """Returns the world-space point of ray ``i`` at distance ``depth``; if it lies behind the mesh, one just before.
 
     Splats are wider in the image than their Gaussians. On a ray that hits a wall in front of the floor, the surface of
     the floor would lie on the far side of the wall and be lit from there.
@@ -308,7 +308,7 @@ def catcher_change(light: CatcherLight) -> float:
 
 @wp.func
 def weighted_factor(factor: float, weight: float) -> float:
-    """Returns ``1 + weight * (factor - 1)``, a pixel's factor if only its fraction ``weight`` changes by ``factor``."""
+    """Returns ``1 + weight * (factor - 1)``: a pixel's factor if its fraction ``weight`` changes by ``factor``."""
     return 1.0 + weight * (factor - 1.0)
 
 

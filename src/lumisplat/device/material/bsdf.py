@@ -115,7 +115,7 @@ def sheen_share(curve: wp.vec4, cosine: float) -> float:
 def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
     """Returns the fraction of light that the clearcoat passes to sheen and base: 1 - its albedo.
 
-    The larger of its albedos for the view and for the light counts, each given by its cosine.
+    Of its albedos at the cosine of the view and at the cosine of the light, the larger one counts.
     """
     if bsdf.coat <= 0.0:
         return 1.0
@@ -127,7 +127,7 @@ def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
 def left_by_sheen(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
     """Returns the fraction of light that the sheen passes to the base below: 1 - its albedo.
 
-    The larger of its albedos for the view and for the light counts, each given by its cosine.
+    Of its albedos at the cosine of the view and at the cosine of the light, the larger one counts.
     """
     if is_black(bsdf.sheen):
         return 1.0
@@ -171,7 +171,7 @@ def sheen_masking_exponent(x: float, alpha: float) -> float:
 
 @wp.func
 def sheen_masking(cosine: float, alpha: float) -> float:
-    """Returns Smith's Lambda of sheen, from which its masking follows, by the fit of Estevez and Kulla (2017)."""
+    """Returns Smith's Lambda of sheen by the fit of Estevez and Kulla (2017); masking and shadowing follow from it."""
     if cosine < 0.5:
         return wp.exp(sheen_masking_exponent(cosine, alpha))
     return wp.exp(2.0 * sheen_masking_exponent(0.5, alpha) - sheen_masking_exponent(1.0 - cosine, alpha))
@@ -201,7 +201,7 @@ def sheen_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp
 def layer_shares(bsdf: Bsdf, cos_view: float, below: float) -> wp.vec2:
     """Returns the probabilities of sampling the clearcoat and the sheen, in proportion to their albedos.
 
-    ``below`` is the approximate albedo of the base, which is sampled otherwise.
+    With the remaining probability, the base is sampled; ``below`` is its approximate albedo.
     """
     coat = coat_share(bsdf.coat, bsdf.coat_alpha, cos_view)
     sheen = (1.0 - coat) * mean_of(bsdf.sheen) * wp.min(sheen_share(bsdf.sheen_curve, cos_view), 1.0)
@@ -227,7 +227,10 @@ def simple_scale(bsdf: Bsdf) -> wp.vec3:
 
 @wp.func
 def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the Phong highlight: cosine between ``light`` and the mirror direction of ``view``, to the shininess."""
+    """Returns the Phong highlight: the cosine between ``light`` and the mirror direction of ``view``, to a power.
+
+    The exponent is the shininess.
+    """
     cosine = 2.0 * wp.dot(normal, view) * wp.dot(normal, light) - wp.dot(view, light)
     # Because log(x) <= x - 1, most directions need no power.
     if cosine <= 0.0 or bsdf.shininess * (cosine - 1.0) < EXPONENT_MIN:
@@ -375,7 +378,7 @@ def base_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 
 @wp.func
 def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf, per steradian, with which BSDF_SIMPLE samples ``light``, which is above the horizon."""
+    """Returns the pdf, per steradian, with which BSDF_SIMPLE samples ``light``; ``light`` must be above the horizon."""
     diffuse = INV_PI * wp.dot(normal, light)
     share = simple_share(bsdf)
     if share <= 0.0:

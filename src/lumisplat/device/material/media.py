@@ -184,7 +184,7 @@ def scattered_media(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> wp.vec4i:
-    """Returns the media of a ray that a surface scatters into ``direction``; they change if it passes through a mesh.
+    """Returns the media of a ray that a surface scatters into ``direction``; they change if it passes a mesh surface.
 
     ``by_mesh``: a mesh scatters the ray, instead of the Gaussians in front of it. ``normal`` is the surface normal on
     the side from which the ray arrives.

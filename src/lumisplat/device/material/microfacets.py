@@ -90,8 +90,8 @@ def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> f
     """Returns the fraction of uniform hemispherical illumination that a smooth dielectric reflects.
 
     ``strength`` scales the reflection. ``fresnel_mean`` is the fraction on the side of the lower index at strength 1.
-    If ``eta`` is above 1, the light comes from the other side, from which total reflection lets at most 1 / eta^2
-    cross.
+    If ``eta`` is above 1, the light arrives on the side of the higher index; total reflection then lets at most 1 /
+    eta^2 of it cross.
     """
     mean = strength * fresnel_mean
     if eta > 1.0:
@@ -101,7 +101,7 @@ def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> f
 
 @wp.func
 def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
-    """Returns a metal's linear reflectance at a cosine, if it is ``head_on`` at normal incidence (Schlick 1994)."""
+    """Returns a metal's linear reflectance at a cosine (Schlick 1994); at normal incidence, it is ``head_on``."""
     grazing = wp.pow(wp.clamp(1.0 - cosine, 0.0, 1.0), 5.0)
     return head_on + grazing * (wp.vec3(1.0) - head_on)
 
@@ -121,8 +121,8 @@ HALF_MIN2 = wp.constant(wp.float32(1e-12))
 def ggx_d(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
     """Returns GGX's D, the area of microfacets with normal ``half`` per steradian and per area of the surface.
 
-    D is ``alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2)`` of the angle between ``normal`` and ``half``, which has any
-    length.
+    D is ``alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2)`` of the angle between ``normal`` and ``half``. ``half`` may have
+    any length.
     """
     alpha2 = alpha * alpha
     across = wp.cross(normal, half)
@@ -180,7 +180,7 @@ def mean_lost_share(alpha: float) -> float:
 
 @wp.func
 def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
-    """Returns the fraction, per channel, of the light lost by single scattering that a rough metal rescatters.
+    """Returns which fraction, per channel, of the light lost by single scattering a rough metal scatters again.
 
     At each further bounce between microfacets, the reflectance is the metal's mean one, and light leaves as from a
     white metal (Kulla and Conty 2017). ``head_on`` is the metal's reflectance at normal incidence. The result is 0 for

@@ -119,9 +119,9 @@ def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
 
 @wp.func
 def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Returns whether the mesh that ray ``i`` hits reflects it or lets it pass.
+    """Returns whether the mesh that ray ``i`` hits reflects the ray or lets it pass.
 
-    It does if it is smooth, partly transparent by its alpha, or between equal media.
+    It does if the mesh is smooth, partly transparent by its alpha, or between equal media.
     """
     material = scene[0].mesh_instances[wave[0].meshes.instance[i]].material
     alpha = scene[0].mesh_instances[wave[0].meshes.instance[i]].alpha

@@ -38,7 +38,7 @@ def angle_of(y: float, x: float) -> float:
 
 @wp.func
 def flipped_to_front(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """Returns ``to_eye``, mirrored at the plane orthogonal to ``normal`` if it points behind the surface.
+    """Returns ``to_eye``; if it points behind the surface, mirrored at the plane orthogonal to ``normal``.
 
     At silhouettes, pixels show Gaussians whose unit ``normal`` points slightly away from the eye. They are shaded as if
     the normal pointed towards the eye by the same angle (docs/method/gaussians.md#normals).
@@ -149,7 +149,7 @@ def cell_width(cells: int) -> float:
 
 @wp.func
 def wrapped_cell(x: int, y: int, cells: int) -> int:
-    """Returns the index of the cell at column ``x`` and row ``y`` of an octahedral map, each from -1 to ``cells``.
+    """Returns the index of a cell of an octahedral map by column ``x`` and row ``y``, each from -1 to ``cells``.
 
     The border of the map is folded onto itself, so that a cell one beyond it is another cell of the map.
     """

@@ -78,7 +78,7 @@ def branch_key(sample_key: wp.uint32, branch: int) -> wp.uint32:
 
 @wp.func
 def draw_mixed(sample_key: wp.uint32, mixed: wp.uint32) -> float:
-    """Draws the number of ``draw`` for a dimension d, where ``mixed`` is ``mix(d)``.
+    """Returns ``draw(sample_key, d)`` for the dimension d whose hash ``mix(d)`` is ``mixed``.
 
     ``mixed`` is computed once for the many keys that share the dimension.
     """
@@ -96,7 +96,7 @@ def draw(sample_key: wp.uint32, dimension: wp.uint32) -> float:
 
 @wp.func
 def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
-    """Returns the number, 0..15, to which the pseudo-random permutation ``word`` of 16 numbers maps ``k``.
+    """Maps the number ``k``, 0..15, by a pseudo-random permutation of 0..15 that ``word`` selects.
 
     Each step of the computation is one-to-one modulo 16.
     """

@@ -22,7 +22,7 @@ def code_of_cell(cell: wp.vec3i) -> int:
 
 @wp.func
 def morton_code(point: wp.vec3, low: wp.vec3, per_cell: wp.vec3) -> int:
-    """Returns the Morton code of the cell of a 1024^3 grid that contains a point; outside, of the nearest cell.
+    """Returns the Morton code of the cell of a 1024^3 grid around a point; for a point outside, of the nearest cell.
 
     ``low`` is the grid's lower corner, and ``per_cell`` the number of cells per unit of length.
     """

@@ -1,9 +1,9 @@
 """Ray-mesh intersection: watertight ray-triangle tests, and the nearest triangle over all instances.
 
-Corners are sheared so that the ray becomes an axis. Which side of an edge the ray passes is then the sign of a product
-that both triangles of the edge compute from the same numbers (Woop, Benthin and Wald 2013). Kernels that call these
-functions compile without fused multiply-adds (``fuse_fp``), which would round the two products differently and make
-shared edges leak.
+Corners are sheared so that the ray becomes an axis. The sign of a product then says on which side of an edge the ray
+passes; both triangles of the edge compute the product from the same numbers (Woop, Benthin and Wald 2013). Kernels
+that call these functions compile without fused multiply-adds (``fuse_fp``), which would round the two products
+differently and make shared edges leak.
 
 The equations are in docs/method/ray_tracing.md#triangles.
 """
@@ -39,7 +39,8 @@ class MeshRay:
     """Direction of the ray in object space; not unit, so that distances along it are world-space distances."""
     shear: RayShear
     begin: float
-    """World-space distance from the origin of the original ray to the start of this one, close to the mesh's box."""
+    """World-space distance from the original ray's origin to the start of this ray, which lies close to the mesh's
+    box."""
 
 
 @struct

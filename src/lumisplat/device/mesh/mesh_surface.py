@@ -64,7 +64,7 @@ def neighbour(k: int, size: int, mode: int) -> int:
 def texel_window(texture: TextureData, uv: wp.vec2) -> wp.vec4i:
     """Returns the indices of the four texels around ``uv``: the upper two from left to right, then the lower two.
 
-    They index the texels of all textures.
+    The indices count the texels of all textures.
     """
     x0 = int(wp.floor(wrapped(uv[0], texture.wrap_u) * float(texture.width) - 0.5))
     y0 = int(wp.floor(wrapped(uv[1], texture.wrap_v) * float(texture.height) - 0.5))
@@ -163,9 +163,8 @@ def passes_alpha_test(
 ) -> bool:
     """Returns whether a ray hits the surface at a point of triangle ``face``, by its alpha.
 
-    The test is random with probability alpha if ``is_drawn`` of the material is set; else it passes wherever alpha is
-    above
-    0. ``weights`` are barycentric; ``sample_key`` is the key of the ray's random numbers.
+    If ``is_drawn`` of the material is set, the test passes at random, with probability alpha; otherwise, it passes
+    wherever alpha is above 0. ``weights`` are barycentric; ``sample_key`` is the key of the ray's random numbers.
     """
     alpha = surface_alpha(instance, meshes, meshes.indices[face], weights)
     if instance.alpha.is_drawn != 0 and alpha < 1.0:

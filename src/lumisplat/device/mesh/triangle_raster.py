@@ -77,7 +77,7 @@ def project_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
 
 @wp.func
 def grow_box(box: wp.vec4, camera: CameraData, a: wp.vec3, b: wp.vec3) -> wp.vec4:
-    """Extends a pixel box (x0, y0, x1, y1) by corner ``a`` of a triangle, unless it lies before the near plane.
+    """Extends a pixel box (x0, y0, x1, y1) by corner ``a`` of a triangle, if the corner is beyond the near plane.
 
     If the edge from ``a`` to ``b`` crosses the near plane, the box is extended by the crossing point.
     """
@@ -111,7 +111,7 @@ def has_alpha(triangle: Triangle, scene: RasterMeshes) -> bool:
 
 @wp.func
 def pixel_passes_alpha_test(triangle: Triangle, ray: wp.vec3, pixel: int, scene: RasterMeshes) -> bool:
-    """Returns whether a pixel shows the triangle by its alpha at the point that the pixel's camera-space ray hits."""
+    """Returns whether a triangle's alpha lets a pixel show it, at the point where the pixel's camera-space ray hits."""
     sample = scene.sample[0]
     key = sample_key_of(pixel, sample.index, sample.seed)
     instance = scene.instances[triangle.instance - scene.splat_instance_count]

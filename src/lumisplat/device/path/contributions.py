@@ -46,15 +46,16 @@ class PathShadowRays:
     """Linear radiance, times throughput and MIS weight, that each ray's light adds to the image if nothing blocks it.
     """
     opaque: wp.array[wp.bool]
-    """True: glass blocks the ray, because MIS finds this light by path rays through the glass. False: glass tints it.
+    """True: glass blocks the ray, because MIS finds this light by path rays through the glass. False: glass tints the
+    light.
     """
     skips: wp.array[wp.bool]
     """True: the ray starts at a shadow catcher and passes all shadow catchers unblocked."""
     media: wp.array[wp.vec4i]
     """Media that the ray is inside of at its origin, as mesh instance indices plus one; 0: none.
 
-    It is 0, too, for rays that glass blocks, whose absorption is already in ``contributions``. The array is empty if no
-    medium absorbs."""
+    For rays that glass blocks, it is also 0: ``contributions`` already include their absorption. The array is empty if
+    no medium absorbs."""
     lights: wp.array[int]
     """Index of the light that each ray leads to; the count of lights stands for emissive triangles."""
     diffuse: wp.array[wp.vec3]
@@ -103,14 +104,13 @@ class PathImages:
     0.
     """
     lights_unshadowed: wp.array[wp.vec3]
-    """Radiance that each ray's first surface reflects from each light if nothing blocks it, by light samples without
-    MIS.
+    """Radiance that each ray's first surface would reflect from each light if nothing blocked the light.
 
-    There is one row for each light."""
+    There is one row for each light. Only light samples without MIS contribute."""
     lights_shadowed: wp.array[wp.vec3]
-    """Radiance that each ray's first surface reflects from each light, with shadows, by light samples without MIS.
+    """Radiance that each ray's first surface reflects from each light, with shadows.
 
-    There is one row for each light."""
+    There is one row for each light. Only light samples without MIS contribute."""
     lights_total: wp.array[wp.vec3]
     """Radiance that each light contributes over all bounces, one row per light.
 
@@ -131,7 +131,7 @@ class PathImages:
     ambient: wp.array[wp.vec3]
     """Ambient irradiance of the ray's shadow catcher, as the scene specifies it, without added objects."""
     open: wp.array[wp.vec3]
-    """Part of the shadow catcher's ambient irradiance that is left because no added object blocks it."""
+    """Part of the shadow catcher's ambient irradiance that no added object blocks."""
 
 
 # --- Light layers, and irradiance of shadow catchers (docs/method/paths.md#layers) ---
@@ -253,8 +253,8 @@ def escaped_radiance(
 ) -> wp.vec3:
     """Returns the linear radiance of what path ``i`` sees at infinity, with its MIS weight against light samples.
 
-    It is the environment. Without one, it is the background for paths that only mirrors have reflected, else black,
-    because a background does not emit light.
+    This is the environment's radiance. Without an environment, paths that only mirrors have reflected see the
+    background, and all others see black, because a background does not emit light.
     """
     if scene[0].environment.exists == 0:
         if paths[0].is_specular[i]:
@@ -458,8 +458,8 @@ def light_surface(
 ):
     """Samples one light for the surface at which path ``i`` scatters, and starts the shadow ray to it.
 
-    ``slot`` is the surface: 0 for Gaussians, 1 for a mesh; ``factor`` is the path's throughput there. Without a light,
-    or if nothing can block it, no ray is started.
+    ``slot`` is the surface: 0 for Gaussians, 1 for a mesh; ``factor`` is the path's throughput there. No ray is started
+    if there is no light, or if nothing can block the light.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
@@ -512,8 +512,8 @@ def add_unshadowed_samples(
 ):
     """Adds the light sample of path ``i`` to sums that need light without the added objects' shadows.
 
-    At a shadow catcher, this is its irradiance; at other surfaces, in wave ``number`` 0, the ``lights`` layers, if the
-    frame has them. ``visible`` is the transmittance of the shadow ray.
+    At a shadow catcher, this is the sum of its irradiance. At other surfaces, in wave ``number`` 0 only, it is the
+    ``lights`` layers, if the frame has them. ``visible`` is the transmittance of the shadow ray.
     """
     light = shadows[0].lights[i]
     if shadows[0].skips[i]:

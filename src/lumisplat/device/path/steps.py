@@ -37,7 +37,7 @@ class PathData:
     root: wp.array[int]
     """Index of the camera ray with which the path started."""
     throughput: wp.array[wp.vec3]
-    """Factor, per channel, of the current ray's radiance in the colour of the camera ray."""
+    """Factor, per channel, by which the current ray's radiance adds to the colour of the camera ray."""
     pdf: wp.array[float]
     """Pdf with which the BSDF sampled the ray's direction, per steradian, for MIS.
 
@@ -128,7 +128,7 @@ GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
 
 @wp.func
 def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -> float:
-    """Estimates the fraction of its ray's light that interaction ``j`` scatters; above 0 wherever it scatters any.
+    """Estimates which fraction of the ray's light interaction ``j`` scatters; above 0 wherever it scatters any.
 
     A shadow catcher scatters only if ``may_find_catcher``, which holds for paths that may measure its irradiance.
     """

@@ -1,6 +1,6 @@
 """Texels of a deep shadow map: by direction from the light or, for parallel light, by position in a plane across it.
 
-The atlas is the square image, or the six faces of a cubemap, that consists of the texels of one light.
+The atlas holds the texels of one light: a square image, or the six faces of a cubemap.
 """
 
 import warp as wp

@@ -1,6 +1,6 @@
 """Culling of casters (Gaussians that block light) for the cells (squares of texels) of a deep shadow map.
 
-It tests the bounds of both for intersection (docs/method/deep_shadow_maps.md#culling).
+A caster is kept for a cell if the bounds of the two intersect (docs/method/deep_shadow_maps.md#culling).
 """
 
 import warp as wp
@@ -53,8 +53,8 @@ class Cell:
     sine: float
     """Point light: sine of the cone's half angle. Parallel light: radius of the cylinder, scene units."""
     parent: int
-    """Index of the list, in CasterLists, of the casters of a larger cell around this one; only they are tested against
-    it."""
+    """Index in CasterLists of the list of a larger cell around this one; only casters of that list are tested against
+    this cell."""
 
 
 @struct
@@ -140,7 +140,7 @@ def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> F
 
 @wp.func
 def perimeter_point(k: int, side: int) -> wp.vec2:
-    """Returns point ``k``, in texels, of points ``STEP`` texels apart on the perimeter of a square of side ``side``."""
+    """Returns point ``k``, in texels, on the perimeter of a square of side ``side``, in steps of ``STEP`` texels."""
     steps = side // STEP
     along = float((k % steps) * STEP)
     edge = k // steps
@@ -158,8 +158,8 @@ def bounded_cell(atlas: Atlas, corner: wp.vec3i, side: int, parent: int) -> Cell
     """Returns the cell of ``side`` x ``side`` texels from ``corner`` on, with the cone or cylinder around its rays.
 
     ``corner`` is the face, x and y of the first texel; ``side`` is a multiple of ``STEP``. The cone contains points on
-    the edges. Between two points of an edge that does not fold lies a great circle, all of which is nearer to the
-    cone's axis than one of the two, so that the cone contains the whole edge.
+    the edges. Between two such points, an edge that does not fold is an arc of a great circle. The whole arc is nearer
+    to the cone's axis than the farther of the two points, so that the cone contains the whole edge.
     """
     cell = Cell()
     cell.parent = parent

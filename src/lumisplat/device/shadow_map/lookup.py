@@ -13,7 +13,7 @@ from lumisplat.device.shadow_map.atlas import EVERYTHING, NOTHING, PARALLEL, Atl
 from lumisplat.device.structs import struct
 
 SHADOW_TEXEL_ANGLE = 12.0
-"""A lookup reads texels within this angle, in radians, divided by the texels across a face, of its direction.
+"""A lookup reads only texels within ``SHADOW_TEXEL_ANGLE / size`` radians of its direction; a face has size^2 texels.
 
 Texels up to one texel diagonal away are read. A texel is 2 / size wide in octahedral coordinates, which stretch to at
 most 3 radians per unit."""
@@ -85,7 +85,7 @@ def normal_from_unit(u: float) -> float:
 
 @wp.func
 def sample_offset(sampling: FootprintSampling, receiver: int, sample: int) -> wp.vec3:
-    """Returns where sample ``sample`` of a receiver lies from its mean, in standard deviations along its axes."""
+    """Returns the offset of sample ``sample`` from its receiver's mean, in standard deviations along its axes."""
     offset = wp.vec3(0.0)
     if sampling.pattern == STENCIL and sample > 0:
         offset[(sample - 1) // 2] = wp.where(sample % 2 == 1, 1.0, -1.0)
@@ -120,7 +120,7 @@ def sample_point(receivers: Receivers, sampling: FootprintSampling, receiver: in
 
 @wp.func
 def may_be_shadowed(atlas: Atlas, bound: ShadowBound, receivers: Receivers, receiver: int) -> bool:
-    """Returns whether any sample of a receiver may read a texel with shadow; False: all of it is lit.
+    """Returns whether any sample of a receiver may read a texel with shadow; False: the whole receiver is lit.
 
     The test is cheap and rejects most receivers.
     """

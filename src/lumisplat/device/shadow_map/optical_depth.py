@@ -44,7 +44,8 @@ class Occluder:
     absorption: float
     """Absorption at the mean (amplitude beta), per scene unit; 0: the caster absorbs nothing."""
     radius2: float
-    """Squared distance of a ray from the mean beyond which its optical depth is negligible, scene units squared."""
+    """Squared distance from the mean, scene units squared; rays that pass farther away have negligible optical depth.
+    """
 
 
 @struct
@@ -103,8 +104,8 @@ SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
 def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3) -> float:
     """Returns beta, the absorption at a Gaussian's mean, per scene unit, for its opacity.
 
-    d is the optical depth of the opacity, ``-strength log(1 - opacity)``. AVERAGE gives d to a ray through the mean if
-    the Gaussian is as thick along the ray as the root mean square of its inverse scales says
+    d is the optical depth of the opacity, ``-strength log(1 - opacity)``. AVERAGE: a ray through the mean has optical
+    depth d if the Gaussian's inverse standard deviation along the ray is the root mean square of its inverse scales
     (docs/method/deep_shadow_maps.md#absorption). MASS divides d by the Gaussian's volume, as Mir et al.'s ``diag``
     does. SIMPLE takes d itself.
     """
@@ -263,7 +264,8 @@ def loss_in(table: Table, column: int, number: int) -> float:
 def loss_at(atlas: Atlas, table: Table, point: wp.vec3) -> float:
     """Returns 1 - transmittance from the light to a world-space point, trilinear between texels and bins.
 
-    It is interpolated instead of the transmittance, so that a point without shadow gets exactly 0 despite rounding.
+    This loss is interpolated instead of the transmittance, so that a point without shadow gets exactly 0 despite
+    rounding.
     """
     position = atlas_from_world(atlas, point)
     at = bin_below(atlas, position.distance)

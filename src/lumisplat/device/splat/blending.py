@@ -57,7 +57,8 @@ def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
 def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> BlendState:
     """Blends a Gaussian of the given ``alpha`` behind the Gaussians that the pixel has already blended.
 
-    ``index`` becomes the pixel's surface if it takes the transmittance from at least ``iso`` to below.
+    ``index`` becomes the pixel's surface if the Gaussian takes the transmittance from at least ``iso`` to below
+    ``iso``.
     """
     before = pixel.transmittance
     weight = before * alpha
@@ -142,9 +143,9 @@ def add_relit(
     after: BlendState,
     index: int,
 ):
-    """Adds what Gaussian ``index`` has just contributed to a ray to the ray's ``relit`` arrays, if its set is relit.
+    """Adds what Gaussian ``index`` has just contributed to a ray to its ``relit`` arrays, if the Gaussian is relit.
 
-    ``before`` and ``after`` are the blending states without and with the Gaussian.
+    ``before`` and ``after`` are the ray's blending states without and with the Gaussian.
     """
     if instances[instance_of(instances, index)].relit != 0:
         hits.relit_color[ray] += after.color - before.color
@@ -246,9 +247,9 @@ def store_result(
 def behind_pixel(pixels: PixelData, gradient: PixelGradient, pixel: int, mesh_z: float) -> float:
     """Returns ``dot(d loss / d colour, colour) - (d loss / d alpha) * transmittance`` of a pixel.
 
-    The backward pass starts with this sum over all splats and the background, and subtracts splat by splat what is
-    blended. With a mesh in the pixel (finite ``mesh_z``), the second term is 0, because its alpha does not depend on
-    splats.
+    This is a sum over all splats and the background. The backward pass starts with it, and subtracts the term of each
+    splat that is blended. With a mesh in the pixel (finite ``mesh_z``), the second term is 0, because the pixel's alpha
+    does not depend on splats.
     """
     transmittance = wp.where(mesh_z < wp.inf, 0.0, 1.0 - pixels.alpha[pixel])
     return wp.dot(gradient.color[pixel], pixels.color[pixel]) - gradient.alpha[pixel] * transmittance

@@ -183,7 +183,7 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
 
     @wp.func
     def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
-        """Returns the first entry, from ``begin`` to ``end``, of a tile's sorted splats at ``farthest`` or beyond.
+        """Returns the first entry, ``begin`` to ``end``, of a tile's sorted splats that is not before ``farthest``.
 
         It is ``end`` if there is none. All entries are read instead of stopping at the first one, so that their memory
         is fetched at once: the composite takes a seventh less time.

@@ -231,7 +231,7 @@ def visible_alpha(log_alpha: float) -> float:
 def depth_plane(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> wp.vec3:
-    """Returns the vector k such that Gaussian ``i`` responds most on camera ray r, z = 1, at view depth ``dot(k, r)``.
+    """Returns the vector k: on a camera ray r with z = 1, Gaussian ``i`` responds most at view depth ``dot(k, r)``.
 
     The Gaussian is widened as its splat is: ``dilation`` is the variance added to the projected covariance, pixel^2.
     The Gaussian must lie beyond the near plane.

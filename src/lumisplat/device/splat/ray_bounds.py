@@ -59,16 +59,17 @@ UNSCENTED_KAPPA = 0.0
 """kappa of the unscented transform, which adds to the spread of its sigma points."""
 
 UNSCENTED_SINE_MAX = 0.02
-"""Largest ratio of a Gaussian's radius to its distance from singularities of the projection, for sigma points.
+"""Sigma points are used only if a Gaussian's radius is at most this fraction of its distance from singularities.
 
-Larger Gaussians are bounded by their outline instead: sigma points sample the projection along three axes only, and
-their bounds miss parts of the image where the projection curves within the Gaussian."""
+These are singularities of the projection. Larger Gaussians are bounded by their outline instead: sigma points sample
+the projection along three axes only, and their bounds miss parts of the image where the projection curves within the
+Gaussian."""
 
 PLANE_SHARE = 5.0
 """A pinhole's plane through the eye counts as this many times farther from a Gaussian than it is.
 
-It is the factor in `leeway`. Within a Gaussian of ``UNSCENTED_SINE_MAX`` times the multiplied distance, the tangents of
-the projection grow by at most a tenth."""
+It is the factor in `leeway`. Within a Gaussian whose radius is ``UNSCENTED_SINE_MAX`` times the multiplied distance,
+the tangents of the projection grow by at most a tenth."""
 
 UNSCENTED_MARGIN = 0.1
 """Fraction by which bounds from sigma points are enlarged.
@@ -76,7 +77,7 @@ UNSCENTED_MARGIN = 0.1
 It covers the curvature of projections for Gaussians up to ``UNSCENTED_SINE_MAX`` in size."""
 
 UNSCENTED_SLACK_PX = 0.5
-"""Pixels by which all bounds are enlarged in addition, for lenses whose magnification nearly vanishes at their edge."""
+"""Pixels by which all bounds are also enlarged, for lenses whose magnification nearly vanishes at the image edge."""
 
 OUTLINE_POINTS = 16
 """Number of points around the outline of a Gaussian that is too large for sigma points."""
@@ -87,9 +88,9 @@ OUTLINE_SLACK = 0.5
 It is four times the deviation of a smooth curve from the chord between two points."""
 
 OUTLINE_MARGIN = 0.1
-"""Fraction by which a Gaussian's outline is widened in the test whether it contains the camera's backward axis.
+"""A Gaussian's outline is widened by this fraction before testing whether it contains the camera's backward axis.
 
-The image of such an outline surrounds the image centre."""
+The image of an outline that contains the axis surrounds the image centre."""
 
 _SPREAD2 = UNSCENTED_ALPHA**2 * (3.0 + UNSCENTED_KAPPA)
 
@@ -149,7 +150,8 @@ HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
 STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
 
 WIDER = wp.constant(wp.float32(1.0 / math.cos(math.pi / OUTLINE_POINTS)))
-"""Circumradius over inradius of a regular polygon with ``OUTLINE_POINTS`` corners: it then encloses the circle."""
+"""Circumradius over inradius of a regular polygon with ``OUTLINE_POINTS`` corners; scaled by it, the polygon encloses
+the circle."""
 
 AROUND = wp.constant(wp.float32((1.0 + OUTLINE_MARGIN) / math.cos(math.pi / OUTLINE_POINTS)))
 
@@ -203,7 +205,8 @@ def across_of(vector: wp.vec3) -> wp.vec3:
 def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
     """Bounds how far a curve around the image centre bulges beyond the chord between two of its points, pixels.
 
-    ``before`` and ``after`` are the points relative to the image centre; inf if they are over 45 degrees apart.
+    ``before`` and ``after`` are the points relative to the image centre. The result is inf if the points are over 45
+    degrees apart.
     """
     lengths = wp.length(before) * wp.length(after)
     if wp.dot(before, after) < HALF_RIGHT * lengths:
@@ -213,10 +216,10 @@ def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
 
 @wp.func
 def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
-    """Returns the distance, scene units, of a point relative to the eye from the projection's nearest singularity.
+    """Returns the distance, scene units, between a point relative to the eye and the projection's nearest singularity.
 
     The eye is a singularity. For a fisheye, so is the half-line behind the eye, whose image is a circle. For a pinhole,
-    so is the plane through the eye, near which tangents grow; its distance is multiplied by ``PLANE_SHARE``.
+    so is the plane through the eye, because tangents grow near it; its distance is multiplied by ``PLANE_SHARE``.
     """
     ahead = -wp.dot(point, backward)
     if camera.model != FISHEYE:
@@ -250,7 +253,7 @@ def outline_bounds(
     """Returns the image bounds of a Gaussian's bounding ellipsoid by points around its outline as the eye sees it.
 
     The points are the corners of a polygon around the curve where rays from the eye touch the ellipsoid. ``eye`` is the
-    eye's position in canonical space, outside the ellipsoid, at ``time`` of the shutter, when the mean is exposed.
+    eye's position in canonical space, outside the ellipsoid, at shutter time ``time``, when the mean is exposed.
     ``backward`` is opposite to the camera's axis, world space; ``reach`` is the ellipsoid's radius in standard
     deviations.
     """

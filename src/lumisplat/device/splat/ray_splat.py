@@ -23,7 +23,7 @@ from lumisplat.device.structs.raster import PixelBox, PixelRays, RayRasterData, 
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 DEPTH_MIN = wp.constant(wp.float32(1.0e-30))
-"""Smallest depth by which splats are sorted, given to Gaussians around the eye whose means lie behind it."""
+"""Smallest depth by which splats are sorted; Gaussians around the eye get it if their means lie behind the eye."""
 
 
 @wp.func
@@ -164,7 +164,7 @@ class RayTile:
     """For each pixel of a tile, its ray and where the ray ends."""
 
     limit_z: TileFloats
-    """Always inf: no depth hides splats along rays, which end at a distance, ``t_max``, instead."""
+    """Always inf: no depth hides splats along rays. Rays end at the distance ``t_max`` instead."""
     x: TileFloats
     """x component of each pixel's ray direction, world space."""
     y: TileFloats
@@ -286,7 +286,8 @@ class RayPixel:
     x: int
     y: int
     limit_z: float
-    """inf for a pixel with a ray, 0 for one without; no depth hides splats along rays, which end at ``limit``."""
+    """inf for a pixel with a ray, 0 for one without. No depth hides splats along rays: rays end at the distance
+    ``limit``."""
     time: float
     """Time at which the pixel's row is exposed, as a fraction of the time from the first row to the last."""
     motion: wp.vec3
@@ -326,8 +327,8 @@ def covers(splat: RaySplat, pixel: RayPixel) -> bool:
 def evaluate(splat: RaySplat, pixel: RayPixel) -> RayAt:
     """Evaluates a Gaussian along the ray of a pixel in its box; the caller sets ``alpha``.
 
-    ``log_alpha`` is that of the largest alpha along the ray, or -inf if it lies before the ray's start or beyond its
-    end.
+    ``log_alpha`` is that of the largest alpha along the ray; -inf if this alpha lies before the ray's start or beyond
+    its end.
     """
     eye = splat.eye
     if pixel.time > 0.0:
@@ -501,7 +502,7 @@ def rotation_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec
 def mean_gradient(
     camera: CameraData, variance_per_pixel: float, gaussian: WorldGaussian, time: float, sums: RaySplatGradient
 ) -> wp.vec3:
-    """Returns the gradient with respect to the mean, world space, by its position and the pixel width at its distance.
+    """Returns the gradient with respect to the mean, world space, through its position and the pixel width there.
 
     ``variance_per_pixel`` is the variance that widens the Gaussian, in squared pixel widths; ``time`` is the shutter
     time, 0..1, at which the mean is exposed.

@@ -459,7 +459,7 @@ def largest_weights(footprint: Footprint) -> TileVisitor:
 
 @struct
 class BackwardTile:
-    """For each pixel of a tile: transmittance, colour gradient, and the loss terms of what is not blended yet."""
+    """For each pixel of a tile: transmittance, colour gradient, and the loss terms of all that is not blended yet."""
 
     transmittance: TileFloats
     behind: TileFloats
@@ -622,7 +622,7 @@ class Sample:
 
 @wp.func
 def wants_nearer(sample: Sample, splat: Splat) -> bool:
-    """Returns whether a splat is nearer than the chosen one, so that it would replace it if it passes its random test.
+    """Returns whether a splat is nearer than the chosen one, and so replaces it if its random test succeeds.
 
     At equal depths, the splat with the lower index is chosen.
     """
@@ -631,7 +631,7 @@ def wants_nearer(sample: Sample, splat: Splat) -> bool:
 
 @wp.func
 def draw_sample(sample: wp.ref[Sample], splat: Splat, log_alpha: float, settings: RasterData, arrays: NoArrays):
-    """Makes a splat the pixel's choice with probability alpha; it must be nearer than the present choice."""
+    """Makes a splat the pixel's choice with probability alpha; the splat must be nearer than the present choice."""
     if draw(sample.key, wp.uint32(splat.index)) < alpha_from_log(log_alpha):
         sample.nearest = splat.depth
         sample.winner = splat.index

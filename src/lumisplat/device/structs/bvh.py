@@ -34,7 +34,7 @@ class Particle:
     """Squared distance from the mean, in standard deviations, up to which rays hit the Gaussian; negative: rays never
     hit it."""
     index: int
-    """Index of the Gaussian in its asset, whose order differs from that of the BVH."""
+    """Index of the Gaussian in its asset; the asset's order differs from the order of the BVH."""
     largest_scale: float
     """Largest of the three standard deviations, object space."""
 
@@ -141,11 +141,12 @@ DRAWS_NONE: int = wp.constant(0)
 """Each Gaussian attenuates a shadow ray by ``1 - alpha``; no random numbers are drawn."""
 
 DRAWS_PER_RAY: int = wp.constant(1)
-"""Stochastic shadows: one random number for each ray, which is blocked as soon as its transmittance falls to the
+"""Stochastic shadows: each ray has one random number, and is blocked as soon as its transmittance falls to this
 number."""
 
 DRAWS_SHARED: int = wp.constant(2)
-"""Stochastic shadows: one random number for each Gaussian, shared by all rays of a sample; below alpha, it is opaque.
+"""Stochastic shadows: each Gaussian has one random number for all rays of a sample, and is opaque if it is below
+alpha.
 """
 
 
@@ -177,7 +178,7 @@ class ShadowData:
     """Distance in scene units that is added to ``offset`` times a Gaussian's largest scale."""
     seed: wp.uint32
     sample: int
-    """Index of the pixel sample, by which DRAWS_SHARED selects the random numbers that all shadow rays share."""
+    """Index of the pixel sample; with DRAWS_SHARED, it selects the random numbers that all shadow rays share."""
 
 
 STRATEGY_SORTED: int = wp.constant(0)
@@ -199,8 +200,8 @@ class TraceData:
     hit_buffer_size: int
     """Number of nearest hits that a ray stores, sorted, while it traverses the BVH (the k of a k-buffer)."""
     ellipsoid_normal: int
-    """1: the normal of a hit is that of the Gaussian's bounding ellipsoid, where the ray enters it. 0: the Gaussian's
-    normal."""
+    """1: a hit has the normal of the Gaussian's bounding ellipsoid at the point where the ray enters. 0: it has the
+    Gaussian's normal."""
     transmittance_min: float
     depth_iso_transmittance: float
     acceptance_scale: float
@@ -210,7 +211,7 @@ class TraceData:
     """Rays that start at a surface may hit a Gaussian from ``offset`` times its largest scale on, even before
     ``t_min``.
 
-    FAR, the value for camera rays, makes ``t_min`` the first possible hit distance of every Gaussian."""
+    Camera rays use FAR: every Gaussian can then be hit from ``t_min`` on only."""
     offset_absolute: float
     """Distance in scene units that is added to ``offset`` times a Gaussian's largest scale."""
 
@@ -223,7 +224,7 @@ class Slabs:
     """Bounding volume of a packet of rays, prepared for slab tests against boxes.
 
     Along each axis, one plane bounds the packet from above and one from below. A box plane at coordinate b limits the
-    ray distance t to ``b * factor + term``: a far limit where the packet leaves the box, a near limit where it enters.
+    ray distance t to ``b * factor + term``. The limit is far where the packet leaves the box, and near where it enters.
     A plane that sets no such limit has factor 0 and a term (``void``) of FAR or -FAR.
     """
 
@@ -293,7 +294,7 @@ class WaitingNode:
     entry: float
     """Lower bound of the distance at which any ray of the packet enters the node's box."""
     floor: float
-    """Smallest ``entry`` of this stack entry and of all entries below it; undefined if nodes are visited in any order.
+    """Smallest ``entry`` among this stack element and all elements below; undefined if nodes are visited in any order.
     """
     link: int
     """Index of the node among the nodes of its own tree."""
@@ -313,7 +314,8 @@ class TreeRay:
     """Standard deviation by which the ray widens Gaussians, divided by the path length."""
     path_length: float
     slabs: Slabs
-    """Bounding volume of the ray and its footprint; undefined for a ray without footprint unless hits use HIT_MEAN."""
+    """Bounding volume of the ray and its footprint; undefined if the ray has no footprint and hits do not use
+    HIT_MEAN."""
 
 
 @struct

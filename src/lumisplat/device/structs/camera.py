@@ -28,9 +28,11 @@ class CameraData:
     """``center + 0.5 - offset``: the principal point, shifted so that the rasteriser's pixel centres lie at the
     samples."""
     jacobian_min: wp.vec2
-    """Smallest x/z and y/z of a mean for the Jacobian of its projection; below, the Jacobian at this limit is used."""
+    """Smallest x/z and y/z at which the Jacobian of a mean's projection is evaluated; means below use the Jacobian
+    there."""
     jacobian_max: wp.vec2
-    """Largest x/z and y/z of a mean for the Jacobian of its projection; above, the Jacobian at this limit is used."""
+    """Largest x/z and y/z at which the Jacobian of a mean's projection is evaluated; means above use the Jacobian
+    there."""
     width: int
     """Width of the rendered image in pixels: that of the cropped window or, without a crop, of the full frame."""
     height: int
@@ -56,7 +58,7 @@ class CameraData:
     tangential: wp.vec2
     """Tangential distortion coefficients p1 and p2."""
     distortion_reach: float
-    """Undistorted radius, x/z and y/z, up to which distinct points stay distinct under the lens distortion."""
+    """Undistorted radius, in x/z and y/z, up to which the lens distortion is one-to-one."""
     shutter: int
     """1: rolling shutter; the pose changes from row to row by ``rotation_angle`` and ``motion``. 0: global shutter."""
     rotation_axis: wp.vec3
@@ -110,7 +112,8 @@ class PixelData:
     alpha: wp.array[float]
     """1 - transmittance of the Gaussians; 1 if a mesh, the environment or a visible light lies behind them."""
     depth: wp.array[float]
-    """Distance along the pixel's ray to the iso-opacity surface or, if it is not reached, to the mesh; inf: neither."""
+    """Distance along the pixel's ray to the iso-opacity surface; to the mesh if opacity stays lower; inf: neither
+    exists."""
     normal: wp.array[wp.vec3]
     """Surface normal, world space, unit, towards the viewer; zero for an empty pixel."""
     gaussian: wp.array[int]
@@ -178,7 +181,7 @@ class FilmData:
     """1: consecutive rays belong to square groups of pixels, as camera rays do; 0: ray i belongs to pixel i, row by
     row."""
     in_sequence: int
-    """Real-time rendering: 1: each sample is a frame of its own, although sample indices go on from frame to frame."""
+    """1: real-time rendering: each sample is a frame of its own, although sample indices go on from frame to frame."""
     first_sample: int
     """Index of the frame's first sample; above 0 only if the frame renders a part of the samples, to be merged with
     others."""
@@ -207,7 +210,7 @@ class FilmData:
     captured_ambient: wp.array[wp.vec3]
     """Mean ambient irradiance of the pixel's shadow catcher, as the scene specifies it, without added objects."""
     captured_open: wp.array[wp.vec3]
-    """Part of the shadow catcher's mean ambient irradiance that is left because no added object blocks it."""
+    """Part of the shadow catcher's mean ambient irradiance that no added object blocks."""
     ratio: wp.array[wp.vec3]
     """Factor per channel by which shadows and added light change each pixel's captured colour; set after the last
     sample.
@@ -217,7 +220,8 @@ class FilmData:
     """Number of samples that each pixel has accumulated; samples with NaN or infinite values are discarded and not
     counted."""
     sums: PixelSums
-    """Sums over the samples of each pixel; empty if the frame has one sample, which ``pixels`` and ``lit`` then store.
+    """Sums over the samples of each pixel; empty in frames of one sample, whose sample is stored by ``pixels`` and
+    ``lit``.
     """
     listed: ListedRays
 
@@ -231,7 +235,7 @@ class ToneMapData:
     tone_map: int
     """Tone map of linear light: TONE_NONE, TONE_NEUTRAL or TONE_AGX."""
     gain: float
-    """Factor of linear light before the tone map: 2 to the power of the exposure in stops."""
+    """Factor that multiplies linear light before the tone map: 2 to the power of the exposure in stops."""
     agx_from_rec709: wp.mat33
     rec2020_from_agx: wp.mat33
     rec709_from_rec2020: wp.mat33

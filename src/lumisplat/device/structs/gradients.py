@@ -61,8 +61,8 @@ class GaussianGradient:
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
-    """Gradient with respect to the rotation quaternion, orthogonal to the quaternion because only its direction
-    counts."""
+    """Gradient with respect to the rotation quaternion. It is orthogonal to the quaternion, whose length has no
+    effect."""
     scales: wp.array[wp.vec3]
     opacities: wp.array[float]
     sh: wp.array[wp.vec3]
@@ -77,7 +77,8 @@ class PoseGradient:
     camera_from_object: wp.mat33
     camera_from_object_offset: wp.vec3
     eye: wp.vec3
-    """Gradient with respect to the eye, object space, but only by the view directions at which the SH are evaluated."""
+    """Gradient with respect to the eye, object space, only through the view directions at which the SH are evaluated.
+    """
 
 
 @struct
@@ -89,7 +90,7 @@ class RayGradient:
     behind: wp.array[float]
     """``dot(d loss / d color, color) + (d loss / d transmittance) * transmittance`` of each ray.
 
-    The backward pass subtracts each hit's part from front to back, which leaves that of everything behind the hit."""
+    The backward pass subtracts each hit's term from front to back; the terms of everything behind the hit remain."""
 
 
 @struct

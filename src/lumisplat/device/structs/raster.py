@@ -128,8 +128,8 @@ class Triangle:
     """
 
     edge0: wp.vec3
-    """Cross product of vertices 1 and 2, camera space; edges 1 and 2 likewise are of the two other vertices, in cyclic
-    order."""
+    """Cross product of vertices 1 and 2, camera space; ``edge1``: of vertices 2 and 0; ``edge2``: of vertices 0 and 1.
+    """
     edge1: wp.vec3
     edge2: wp.vec3
     normal: wp.vec3
@@ -183,7 +183,8 @@ class RaySplat:
     color: wp.vec3
     """Colour of the Gaussian as the eye sees it, display-referred sRGB, not negative."""
     depth: float
-    """Depth by which splats are sorted: of the mean, along the axis or, for a fisheye, from the eye; above 0."""
+    """Depth by which splats are sorted, above 0: view depth of the mean or, for a fisheye, its distance from the eye.
+    """
     normal: wp.vec3
     """Unit normal of the Gaussian, world space, towards the viewer."""
     index: int

@@ -30,11 +30,12 @@ class RayData:
     direction: wp.array[wp.vec3]
     t_min: wp.array[float]
     t_max: wp.array[float]
-    """Distance along the ray at which it ends, for a shadow ray that of its light; inf: it does not end."""
+    """Distance along the ray at which it ends, such as a shadow ray's distance to its light; inf: the ray does not
+    end."""
     path_length: wp.array[float]
     spread: wp.array[float]
     normal: wp.array[wp.vec3]
-    """Unit normal of the layer of flat Gaussians at which the ray starts, on the side to which the ray leaves.
+    """Unit normal, on the side to which the ray leaves, of the layer of flat Gaussians at which the ray starts.
 
     Gaussians that do not belong to this layer can be hit even before ``t_min``. Zero: no Gaussian is hit before
     ``t_min``."""
@@ -72,7 +73,7 @@ class GaussianHits:
     depth: wp.array[float]
     """Distance along the ray to the iso-opacity surface; inf: the opacity does not reach the threshold."""
     gaussian: wp.array[int]
-    """Gaussian at the iso-opacity surface or, if it is not reached, the frontmost one; -1: no Gaussian.
+    """Gaussian at the iso-opacity surface; the frontmost Gaussian if opacity stays lower; -1: no Gaussian.
 
     The index counts over all splat instances of the scene."""
     hits: wp.array[int]

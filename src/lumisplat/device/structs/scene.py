@@ -42,8 +42,8 @@ class KernelData:
     """Coefficient a of the kernel ``exp(-a d^n)``, or of the linear kernel ``1 - a d``; d is the canonical distance."""
     min_response: float
     adaptive: int
-    """1: rays ignore a Gaussian where ``opacity * response`` is below ``min_response``; 0: where the response itself
-    is."""
+    """1: rays ignore a Gaussian where ``opacity * response`` is below ``min_response``; 0: where ``response`` is below
+    it."""
 
 
 @struct
@@ -153,13 +153,13 @@ class AlphaData:
     cutoff: float
     """Smallest alpha that counts as opaque with ALPHA_MASK."""
     is_drawn: int
-    """1: a ray hits the surface at random, with probability alpha. 0: every ray hits it, and is continued with 1 -
-    alpha."""
+    """1: a ray hits the surface at random, with probability alpha. 0: every ray hits the surface, and also continues
+    behind it with weight 1 - alpha."""
     is_bent: int
     """1: path rays that alpha lets through continue as through glass, refracted into the mesh.
 
-    Shadow rays that glass may block then end at the surface whatever its alpha is, because the continued path rays find
-    the light behind the surface."""
+    Shadow rays that glass may block then end at the surface, whatever its alpha is: the continued path rays find the
+    light behind the surface."""
 
 
 @struct
@@ -176,7 +176,7 @@ class SmoothData:
     is_medium: int
     """1: the mesh is filled with a medium, which refracted rays enter; 0: the mesh has no inside."""
     thin_walled: int
-    """1: the surface is a wall without thickness, such as a soap bubble, which rays pass without refraction."""
+    """1: the surface is a wall without thickness, such as a soap bubble; rays pass through it without refraction."""
     priority: int
     """Where several media overlap, rays travel in the one of highest priority; of equal ones, in the last one entered.
     """

@@ -35,9 +35,9 @@ class LightData:
     radius: float
     """Radius of a point light, spot or disk, scene units; angular radius of a directional light, radians."""
     inner: float
-    """1 - cosine of the half angle of a spot's inner cone, within which it has its full intensity."""
+    """1 - cosine of the half angle of a spot's inner cone; the spot has its full intensity within this cone."""
     outer: float
-    """1 - cosine of the half angle of a spot's outer cone, beyond which it is dark.
+    """1 - cosine of the half angle of a spot's outer cone; the spot is dark outside this cone.
 
     1 - cosine keeps digits for narrow cones, which the cosine itself would lose."""
     casts_shadow: int
@@ -82,7 +82,7 @@ class EmitterTriangle:
     """Sample points are moved off the triangle by ``lift * across``, so that shadow rays to them do not hit the
     triangle."""
     inside: wp.vec3
-    """Smallest barycentric weight, per corner, of sample points; nearer to an edge they could lie behind an adjacent
+    """Smallest barycentric weight of sample points, per corner; points nearer to an edge could lie behind an adjacent
     wall."""
 
 
@@ -139,8 +139,8 @@ class Bsdf:
     shininess: float
     """BSDF_SIMPLE: Phong exponent of the highlight."""
     dielectric: float
-    """BSDF_PBR: factor of the Fresnel reflection of a dielectric; light that it does not reflect reaches the diffuse
-    lobe."""
+    """BSDF_PBR: factor of a dielectric's Fresnel reflection; the light that is not reflected reaches the diffuse lobe.
+    """
     eta: float
     """BSDF_PBR: index of refraction on the viewer's side over the index behind the surface."""
     mean_mirrored: float
@@ -166,7 +166,7 @@ class Bsdf:
     sheen_alpha: float
     """Roughness of the sheen, squared."""
     sheen_curve: wp.vec4
-    """Coefficients of a polynomial in the cosine of the view, whose exponential is the albedo of white sheen."""
+    """Coefficients of a polynomial in the cosine of the view; exp(polynomial) is the albedo of white sheen."""
 
 
 @struct
@@ -198,7 +198,7 @@ class MaterialData:
     emits_capture_only: int
     """1: a splat set that shows its captured colours unchanged and reflects no light, as in all unlit frames."""
     keeps_capture: int
-    """1: a splat set that shows its captured colours, plus light that it reflects if its material does; 0: it is
+    """1: a splat set that shows its captured colours, and also reflects light if its material does; 0: the set is
     relit."""
     shadow_catcher: int
     """1: a splat set that is a shadow catcher: its captured colours, darkened where added objects block light."""
@@ -264,10 +264,11 @@ class ShadingSettings:
     more_draws: int
     """An environment without shadows is sampled in ``1 + more_draws`` directions at each surface point."""
     changes_shadows: int
-    """1: MIS of light samples with scattered rays is off, because shadow rays use a threshold or tint that other rays
-    do not."""
+    """1: shadow rays use a threshold or tint that scattered rays do not; MIS of light samples with scattered rays is
+    off."""
     capture_gain: float
-    """Factor of splats' captured radiance as light on other surfaces; camera and mirror rays see it unchanged."""
+    """Factor of splats' captured radiance when it lights other surfaces; camera and mirror rays see the radiance
+    unchanged."""
     shadow_offset: float
     """A Gaussian casts no shadow on a surface of Gaussians nearer than ``shadow_offset`` times its largest scale."""
     shadow_offset_absolute: float
@@ -294,7 +295,7 @@ class ShadingScene:
 
 @struct
 class SplatSurface:
-    """The Gaussians on a ray as one surface that lights change, and the captured colours that the ray shows besides.
+    """The Gaussians on a ray as one surface that lights change, and the captured colours that the ray shows as well.
 
     The Gaussians are those in front of the nearest mesh.
     """
@@ -308,13 +309,13 @@ class SplatSurface:
     depth: float
     """Distance along the ray at which the surface is lit, scene units; inf: no surface."""
     is_mean: bool
-    """True if depth and material are weighted means of all relit Gaussians on the ray; false: of the iso-opacity
-    surface."""
+    """True: depth and material are weighted means of all relit Gaussians on the ray. False: they are those of the
+    iso-opacity surface."""
     transmittance: float
     captured: wp.vec3
     """Captured colour that the ray shows, display-referred sRGB, premultiplied by ``weight``.
 
-    If neither a mesh nor an environment lies behind the Gaussians, it includes the background."""
+    If neither a mesh nor an environment lies behind the Gaussians, the background is included."""
     weight: float
     """Fraction of the ray that ``captured`` covers: its alpha, 0..1."""
     captured_share: float
@@ -343,7 +344,7 @@ class Interaction:
     geometric_normal: wp.vec3
     """Unit normal of the hit triangle or, for Gaussians, the shading normal; world space, on the side of ``wo``."""
     smooth_height: float
-    """Height of the smooth surface that the vertex normals describe above the flat triangle, scene units; 0 for
+    """Height above the flat triangle, scene units, of the smooth surface that the vertex normals describe; 0 for
     Gaussians.
 
     It is measured along ``horizon_normal``. Shadow rays may start that high, which hides the triangles in shadow edges.
@@ -352,10 +353,11 @@ class Interaction:
     """Unit direction from the surface back along the ray, world space."""
     bsdf: Bsdf
     weight: float
-    """Fraction of the ray that the surface stands for: the factor of its reflected light in the ray's radiance."""
+    """Fraction of the ray that the surface stands for; the surface's reflected light adds to the ray's radiance by it.
+    """
     occlusion: float
-    """Fraction of the environment's light that reaches the surface, by the material's ambient occlusion texture; else
-    1."""
+    """Fraction of the environment's light that reaches the surface, from the material's ambient occlusion texture; 1
+    without a texture."""
     shadow_catcher: bool
     """True if the surface is a shadow catcher: it reflects no light and is only darkened where lights are blocked."""
 
@@ -409,7 +411,8 @@ class Interactions:
     spawn_t_min: wp.array[float]
     """Distance along a shadow ray up to which Gaussians of the layer where it starts do not block it, scene units."""
     geometric_normal: wp.array[wp.vec3]
-    """Unit normal of the hit triangle or of the layer of flat Gaussians, world space, on the side of the arriving ray.
+    """Unit normal, world space, on the side of the arriving ray: of the hit triangle, or of the layer of flat
+    Gaussians.
 
     It is zero if the Gaussian at the surface is not flat or is seen from behind."""
     smooth_height: wp.array[float]
@@ -463,7 +466,7 @@ class RayRadiance:
     ambient: wp.array[wp.vec3]
     """Ambient irradiance of the ray's shadow catcher, as the scene specifies it, without added objects."""
     open: wp.array[wp.vec3]
-    """Part of the shadow catcher's ambient irradiance that is left because no added object blocks it."""
+    """Part of the shadow catcher's ambient irradiance that no added object blocks."""
     reflection: wp.array[wp.vec3]
     """Part of ``light`` that mirror reflection and refraction contribute; empty unless the frame outputs this light
     layer."""
@@ -475,7 +478,7 @@ class RayRadiance:
 
 @struct
 class WaveData:
-    """A wave of rays, all of one bounce, with hits and radiance; a 1-element array that kernels take by reference.
+    """A wave of rays, all of one bounce, with hits and radiance; kernels take it by reference in a 1-element array.
 
     By value, compilers would copy the descriptors of all arrays for each ray, which costs more than the shading itself.
     """
@@ -496,18 +499,20 @@ class WaveData:
     path_weights: wp.array[float]
     """Largest channel of the factor by which each ray's radiance enters the colour of its pixel."""
     weights: wp.array[wp.vec3]
-    """Factor, per channel, of each ray's radiance in the colour of the ray that spawned it; empty for camera rays."""
+    """Factor, per channel, by which each ray's radiance adds to the colour of the ray that spawned it; empty for
+    camera rays."""
     media: wp.array[wp.vec4i]
     """Up to four media that each ray is inside of: mesh instance indices plus one, 0: none; empty if no mesh is a
     medium."""
     unentered: wp.array[int]
-    """Per mesh instance, 1 if a camera ray leaves its medium without having entered it, as from a camera inside glass.
+    """For each mesh instance, 1 if a camera ray leaves the mesh's medium without having entered it, as from inside
+    glass.
 
     The array is empty for other rays than camera rays and in scenes without media."""
     spawns_lobes: int
     """1: rough surfaces spawn one random ray within their highlight; 0: none."""
     sees_environment: wp.array[wp.bool]
-    """False for rays that must not add the environment or background they escape to; empty: all rays add it."""
+    """False: the ray must not add the environment or background when it escapes. Empty: all rays add it."""
     branches: wp.array[int]
     """Number of rays, 0 or 1, that each ray spawns by reflection, by refraction and within a highlight.
 
@@ -518,7 +523,7 @@ class WaveData:
 
 @struct
 class CatcherIrradiance:
-    """Irradiance of shadow catchers by lights and ambient light, one element for each ray; empty if there are none."""
+    """Irradiance of shadow catchers by lights and ambient light, one element for each ray; empty without catchers."""
 
     unshadowed: wp.array[wp.vec3]
     """Irradiance of the shadow catcher by lights as if the added objects were absent."""
@@ -532,15 +537,15 @@ class CatcherIrradiance:
 
 @struct
 class PathVertex:
-    """A surface point of a path, reduced to position, normal and importance, by which a light is selected."""
+    """A surface point of a path, reduced to what the selection of a light needs: position, normal and importance."""
 
     position: wp.vec3
     """Position of the surface point, world space."""
     normal: wp.vec3
     """Unit normal of the surface point on the viewer's side; zero if light from both sides counts (rough glass)."""
     importance: float
-    """Sum over all lights of the estimated irradiance at the surface point, the normaliser of the selection
-    probabilities."""
+    """Sum over all lights of the estimated irradiance at the surface point. Selection probabilities are divided by it.
+    """
 
 
 @struct
