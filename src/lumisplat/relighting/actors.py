@@ -98,14 +98,14 @@ def shadowed(
 ) -> Subject:
     """Darkens captured Gaussians by the shadows of casters that were not part of the capture.
 
-    Each channel is multiplied by ``1 - direct (1 - sum_l w_l T_l)``, with ``w_l`` the fraction of the unshadowed
-    irradiance of all lights that light l gives at the Gaussian, and ``T_l`` the light's transmittance. With one light
-    and ``direct`` 1 the factor is the transmittance, as in Mir et al. (2026, section 3.3). Colours of Gaussians from
-    which no light is blocked keep their bits. Source: docs/method/relighting.md#captured-shadow.
+    Each channel is multiplied by ``1 - direct (1 - sum_l w_l T_l)``. Here ``w_l`` is light l's fraction of the
+    unshadowed irradiance from all lights at the Gaussian, and ``T_l`` is the transmittance of light l. With one light
+    and ``direct`` 1 the factor is the transmittance, as in Mir et al. (2026, section 3.3). Gaussians whose light is not
+    blocked keep the bits of their colours. Source: docs/method/relighting.md#captured-shadow.
 
     Args:
         receivers: N Gaussians in world space, or an instance.
-        lights: L lights that the captured colours come from; no environment.
+        lights: L lights from which the captured colours come; no environment.
         transmittances: Transmittance of each light at each Gaussian, 0..1, shape (L, N), as from
             `DeepShadowMap.transmittance_of`.
         direct: Fraction of the captured radiance that is due to ``lights``, 0..1.
@@ -133,7 +133,7 @@ def shadowed(
 
 
 def _light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:
-    """Returns the fraction of N Gaussians' unshadowed irradiance that each of L lights gives, shape (L, N, 3).
+    """Returns each of L lights' fraction of the unshadowed irradiance at N Gaussians, shape (L, N, 3).
 
     Every Gaussian counts as facing every light, because normals of captures are unreliable. Fractions are 0 where no
     light arrives.
@@ -167,8 +167,8 @@ def _light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating],
 _log = logging.getLogger("lumisplat")
 
 _SUSPICIOUS_SHADOW = 0.9
-"""Fraction of captured Gaussians with a light's transmittance below 0.5, above which a warning reports a likely
-mistake."""
+"""A warning reports a likely mistake if a light's transmittance is below 0.5 at more than this fraction of the
+captured Gaussians."""
 
 
 def casting_lights(lights: Iterable[Light]) -> tuple[Light, ...]:
@@ -214,8 +214,8 @@ class ActorShadows:
         """World position of the local coordinates in which actors' Gaussians are stored as float32, shape (3,)."""
         self._means = [receiver.world_means for receiver in self._receivers]
         self._static = np.ones((len(self._lights), sum(map(len, self._means))), dtype=np.float32)
-        """Transmittance of L lights through the scene's meshes, which do not move, at all N captured Gaussians, shape
-        (L, N)."""
+        """Transmittance of L lights at all N captured Gaussians through the meshes of the scene alone, shape (L, N).
+        It is constant, because these meshes do not move."""
         self._warned_lights: set[int] = set()
         self._warned_of_radius = False
         if meshes:
@@ -223,7 +223,7 @@ class ActorShadows:
                 self._static[row] = self._build(meshes, light).transmittance_of(self._receivers)
 
     def darken(self, casters: Sequence[PlacedActor]) -> list[SplatInstance]:
-        """Returns the captures with one frame's shadows; captures without any shadow stay the same objects.
+        """Returns the captures with one frame's shadows; a capture on which no shadow falls stays the same object.
 
         Args:
             casters: Actors of the frame; the list may be empty.
@@ -256,7 +256,7 @@ class ActorShadows:
         return transmittances
 
     def _is_far(self, casters: PlacedGaussians, radius: float) -> npt.NDArray[np.bool_]:
-        """Returns which captured Gaussians are beyond ``radius`` of the actors' bounding box; warns once if all are."""
+        """Returns which captured Gaussians are farther than ``radius`` from the actors' box; warns once if all are."""
         far = distance_from_body(np.concatenate(self._means) - self._origin, casters) > radius
         if far.all() and not self._warned_of_radius:
             self._warned_of_radius = True
@@ -269,7 +269,7 @@ class ActorShadows:
         )
 
     def _warn_of_darkness(self, transmittances: FloatArray) -> None:
-        """Warns once for each light that is blocked from nearly all captured Gaussians, as by a caster around it.
+        """Warns once per light that is blocked from nearly all captured Gaussians, as by a caster around the light.
 
         Args:
             transmittances: Transmittance of L lights at N captured Gaussians, shape (L, N).

@@ -23,19 +23,19 @@ from lumisplat.scene.ops.neighbours import Pairs
 
 CELL_REACH = 1.3
 """Two environment cells are neighbours if the angle between their centres is below this times the sum of their angular
-radii, each that of a disc of the cell's solid angle."""
+radii. The angular radius of a cell is that of a disc with the cell's solid angle."""
 
 RANDOM_PAIR_SHARE = 0.25
-"""Number of random pairs of Gaussians per pair of neighbours in the albedo fit: surfaces of similar chromaticity often
-have one albedo, and neighbours more often."""
+"""Ratio of random pairs of Gaussians to pairs of neighbours in the albedo fit. Random pairs are fewer, because distant
+surfaces of similar chromaticity have one albedo less often than neighbours do."""
 
 CHROMA_WIDTH = 0.03
-"""Standard deviation of the chromaticity difference, in natural logarithms of channels, that two Gaussians of one
-albedo have."""
+"""Standard deviation assumed for the difference in chromaticity, natural logarithms of channels, between two Gaussians
+with the same albedo."""
 
 EDGE_WIDTHS = (0.2, 0.1)
-"""Widths, in natural logarithms of albedo, of the Cauchy weight on the albedo difference of a pair, in the first and
-in the second solve. Pairs with larger differences are likely edges of textures."""
+"""Widths of the Cauchy weight on the difference of a pair's albedos, in natural logarithms: for the first and for the
+second solve. Pairs with larger differences are likely edges of textures."""
 
 RANDOM_PAIRS_MIN = 1000
 """Smallest number of random pairs of Gaussians in the albedo fit."""
@@ -50,16 +50,16 @@ LIGHT_CONVERGED = 1e-3
 """The Gauss-Newton steps end when no radiance changes by more than this, in natural logarithm."""
 
 ENVIRONMENT_SMOOTHNESS = 3e-3
-"""Weight of squared differences between the log radiances of neighbouring environment cells, relative to all pairs of
-Gaussians together."""
+"""Weight of the squared differences between log radiances of neighbouring environment cells; all pairs of Gaussians
+together have weight 1."""
 
 LIGHT_PRIOR = 3e-4
-"""Weight of the squared log ratio of a radiance to its initial value, relative to all pairs of Gaussians together."""
+"""Weight of the squared log ratio of a radiance to its initial value; all pairs of Gaussians together have weight 1."""
 
 IRRADIANCE_WEIGHT_MAX = 3.0
-"""Irradiance from emitters, relative to the median Gaussian's, above which a Gaussian's weight stops growing, because
-the irradiance's error grows too. A lampshade thus counts at most like nine pieces of wall. In trained rooms, 2 to 4 %
-of the Gaussians receive more."""
+"""Largest irradiance from environment and emitters, relative to the median Gaussian's, up to which a Gaussian's weight
+grows with it: beyond, the irradiance's error grows too. A lampshade thus counts at most like nine pieces of wall. In
+trained rooms, 2 to 4 % of the Gaussians receive more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +99,7 @@ class EnvironmentCells:
         return np.stack([first, second], axis=1)
 
     def of(self, rows: Rows) -> EnvironmentCells:
-        """Returns those cells that the indices ``rows`` select, in this order."""
+        """Returns the cells that the indices ``rows`` select, in the order of ``rows``."""
         return EnvironmentCells(self.corners[rows], self.sides[rows])
 
     def joined(self, others: EnvironmentCells) -> EnvironmentCells:
@@ -109,7 +109,7 @@ class EnvironmentCells:
         )
 
     def parts(self, across: int) -> EnvironmentCells:
-        """Divides each cell into ``across`` x ``across`` smaller cells, in the order of the original cells."""
+        """Divides each cell into ``across`` x ``across`` smaller ones; the parts follow the order of their cells."""
         v, u = np.divmod(np.arange(across * across), across)
         within = np.stack([u, v], axis=1)[None] * (self.sides[:, None, None] / across)
         return EnvironmentCells(
@@ -135,22 +135,27 @@ class Light:
 class AlbedoPairFit:
     """Finds the light for which pairs among N Gaussians get the most similar albedos.
 
-    Albedo is outgoing radiance over irradiance / pi. If two surfaces have one albedo, the logarithms of their radiance
-    and irradiance differ equally. Other pairs are edges of textures and get low weights. This is Retinex with pairs
-    anywhere in the capture, and with a model of the light instead of a smoothness assumption.
+    Albedo is outgoing radiance over irradiance / pi. If two surfaces have the same albedo, the logarithm of outgoing
+    radiance differs between them by as much as the logarithm of irradiance. Other pairs are edges of textures and get
+    low weights. This is Retinex with pairs anywhere in the capture, and with a model of the light instead of a
+    smoothness assumption.
     """
 
     outgoing: Doubles
     """Linear radiance that each Gaussian reflects, in units of display white, shape (N, 3)."""
     incident: Irradiance
-    """Irradiance over pi of the Gaussians from the capture, each environment cell and each emitter."""
+    """Irradiance over pi at the Gaussians, split into the light of the capture, each environment cell and each
+    emitter."""
     pairs: Rows
     """Indices of the P pairs of Gaussians whose albedos are compared, shape (P, 2)."""
     cells: EnvironmentCells
     """The K environment cells whose radiances are fitted."""
 
     def solved(self, start: Light) -> Light:
-        """Fits the radiances from ``start``, once for each of `EDGE_WIDTHS`, so that edges of textures lose weight."""
+        """Fits the radiances from ``start``: two solves, the second with a narrower Cauchy weight (`EDGE_WIDTHS`).
+
+        The narrower weight reduces the influence of texture edges further.
+        """
         light = start
         for width in EDGE_WIDTHS:
             light = self._improved(light, width)
@@ -214,9 +219,9 @@ class AlbedoPairFit:
 def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
     """Returns one grey radiance for all cells and emitters, under which the lightest surfaces have an albedo of 0.8.
 
-    With emitters, Gaussians are weighted by the squared irradiance from the emitters, because the relative error of the
-    radiance is that of the irradiance. Without the weights, Gaussians that haze hides from an emitter make it many
-    times too bright.
+    With emitters, each Gaussian is weighted by the square of its irradiance from cells and emitters, because the
+    relative error of the radiance is that of the irradiance. Without the weights, Gaussians that haze hides from an
+    emitter would make the emitter many times too bright.
     """
     irradiance = unit_irradiance(incident)
     exponent = 2.0 if incident.emitters.size else 0.0

@@ -30,15 +30,17 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_li
 _log = logging.getLogger("lumisplat")
 
 _DARK = 0.3
-"""Mean factor on an actor's captured colours below which a warning reports that the relit actor appears dark."""
+"""A warning reports that a relit actor appears dark if the mean factor on the actor's captured colours is below this.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class _LightRoles:
-    """Which lights shadow the captures, and which illuminate meshes: the scene's, or those that the user gives."""
+    """Roles of lights (the scene's or the user's): which shadow captures, and which illuminate meshes."""
 
     casting: tuple[Light, ...] | None
-    """Lights whose light actors block from captures; None: the scene has none, and they must be estimated."""
+    """Lights that actors block from captures. None: neither the user nor the scene gives such lights, so they are
+    estimated."""
     on_meshes: tuple[Light, ...]
     """Lights that illuminate mesh actors, if the frame does not keep the scene's own lights."""
     uses_scene_lights: bool
@@ -46,7 +48,7 @@ class _LightRoles:
 
     @classmethod
     def of(cls, scene: Scene, lights: Sequence[Light] | None) -> _LightRoles:
-        """Assigns roles to ``lights`` if the user gives any, else to the lights of the scene.
+        """Assigns roles to the user's ``lights``, or to the lights of the scene if ``lights`` is None.
 
         Raises:
             SceneError: ``lights`` is no list of lights, or none of them casts shadows from a position or a direction.
@@ -69,23 +71,24 @@ class AvatarLighter:
     """Lights actors in a captured scene, and darkens the scene by the actors' shadows.
 
     Captured Gaussians receive the shadows of all actors, through one deep shadow map per light that is rebuilt every
-    frame. The scene's meshes cast shadows on captured Gaussians too, as objects placed after the capture. Actors made
-    of Gaussians are relit by an environment probe of the scene at their position. Given suns light them, too, as far as
-    the scene does not block a sun and the probe does not already contain it. Actors shadow neither each other nor
-    themselves.
+    frame. The scene's meshes, as objects placed after the capture, cast shadows on captured Gaussians, too. Actors made
+    of Gaussians are relit by an environment probe of the scene at their position. Given suns light such actors, too, as
+    far as the scene does not block a sun and the probe does not already contain it. Actors shadow neither each other
+    nor themselves.
 
-    Actors that are meshes stay meshes; frames with them are lit frames. The lights, and a probe at the meshes' position
-    for the rest of the light, illuminate all meshes without shadows; captures stay unlit. If the scene's lights already
-    illuminate a mesh or a capture with a material, the scene keeps its lights: shadows on reflecting surfaces are then
-    those of the renderer's shadow rays, not of shadow maps.
+    Actors that are meshes stay meshes; frames with mesh actors are lit frames. The lights, and a probe at the meshes'
+    position for the rest of the light, illuminate all meshes without shadows; captures stay unlit. If the scene's
+    lights already illuminate a mesh or a capture with a material, the scene keeps its lights: shadows on reflecting
+    surfaces are then those of the renderer's shadow rays, not of shadow maps.
 
     Not safe to share between threads.
 
     Args:
         scene: Static scene, as captured.
-        lights: Lights that the captured colours come from. Lights that cast no shadows, and an environment, only
-            illuminate meshes. None: the scene's lights. If none of them casts shadows, `estimate_lights` searches
-            around the actors of the first frame, and if it finds none, `estimate_sun`.
+        lights: Lights from which the captured colours come. Lights that cast no shadows, and an environment, only
+            illuminate meshes. None: the scene's lights. If no light of the scene casts shadows, `estimate_lights`
+            searches around the actors of the first frame. If `estimate_lights` finds no light, `estimate_sun` searches
+            for a sun.
         config: Settings; None: the defaults.
         background: Background of the probes, display-referred sRGB, 0..1 each.
         device: As for `create_renderer`.
@@ -116,12 +119,14 @@ class AvatarLighter:
         """Static scene, with its captured colours, before any shadow of an actor."""
         self._roles = _LightRoles.of(scene, lights)
         self.lights: tuple[Light, ...] | None = self._roles.casting
-        """Lights whose light actors block from captures: given, of the scene, or estimated; None: not estimated yet."""
+        """Lights that actors block from captures: given by the user, of the scene, or estimated. None: not estimated
+        yet."""
         self.estimate: LightEstimate | None = None
-        """Local lights found by `estimate_lights`; None if the user or the scene gave lights, none was found, or not
-        yet searched."""
+        """Local lights found by `estimate_lights`. None: the user or the scene gave lights, no local light was found,
+        or the search has not run yet."""
         self.sun: SunEstimate | None = None
-        """Sun found by `estimate_sun`; None if lights were given or local lights found, or not yet searched."""
+        """Sun found by `estimate_sun`. None: lights were given, local lights were found, or the search has not run
+        yet."""
         self._device, self._progress = device, progress
         self._probes = ProbeCache(scene, background, device, progress)
         suns = [light for light in self.lights or () if isinstance(light, LightDirectional)]
@@ -130,8 +135,8 @@ class AvatarLighter:
         self._shadows: ActorShadows | None = None
         """Shadow maps of actors on the captures; None until a frame needs them."""
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
-        """Cache of estimated normals of the last frame's actors, by the `Gaussians` object's Python id; it also keeps
-        the object."""
+        """Cache of estimated normals of the last frame's actors, by Python id of the actor's `Gaussians`. An entry
+        also holds the `Gaussians`, so that the id stays valid."""
         self._warned_of_darkness = False
 
     def light(
@@ -143,8 +148,8 @@ class AvatarLighter:
     ) -> Scene:
         """Returns the scene with lit actors in it, for one frame.
 
-        Captures without any shadow stay the same objects, so that a renderer does not upload them again. Equal actors
-        give an equal scene, to the bit.
+        Captures on which no shadow falls stay the same objects, so that a renderer does not upload them again. Equal
+        actors give an equal scene, to the bit.
 
         Args:
             actors: Gaussians and meshes in world space, or instances.
@@ -210,7 +215,7 @@ class AvatarLighter:
         return sets
 
     def _casting_lights(self, actors: Sequence[PlacedActor]) -> tuple[Light, ...]:
-        """Returns the lights whose light actors block from captures; estimates them first if none were given."""
+        """Returns the lights that actors block from captures; estimates lights first if none were given."""
         if self.lights is None:
             position = centroid(actors) if actors else np.mean(self.scene.bounds(), axis=0)
             # The lights give the fraction ``direct`` of the irradiance at the position.
@@ -219,7 +224,7 @@ class AvatarLighter:
         return self.lights
 
     def _estimated_lights(self, position: npt.NDArray[np.float64], irradiance: float) -> tuple[Light, ...]:
-        """Estimates local lights of the capture, or else its sun, scaled to give ``irradiance`` at ``position``."""
+        """Estimates the capture's local lights, or else its sun; together they give ``irradiance`` at ``position``."""
         try:
             self.estimate = estimate_lights(
                 self.scene, position, self.config.light_count, config=self.config.estimation
@@ -234,7 +239,7 @@ class AvatarLighter:
         return tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
 
     def _relight(self, actor: SplatInstance) -> SplatInstance:
-        """Returns an actor with colours scaled by the probe at its position, and by suns missing in the probe."""
+        """Returns an actor with colours scaled by the probe at its position, plus the suns that the probe lacks."""
         if not self.config.relight:
             return actor
         # Estimating normals is expensive, and those of a moving actor stay the same.
@@ -272,10 +277,10 @@ class AvatarLighter:
             _log.warning("%s", message)
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
-        """Returns the lights of mesh actors, and an environment from the probe at their centroid for indirect light.
+        """Returns the lights of mesh actors, and an environment from a probe at their centroid for indirect light.
 
-        None of these lights casts shadows by rays: an estimated light is inside its own Gaussians, and the walls from
-        which the probe's light comes would block the environment.
+        None of these lights casts shadows by rays. An estimated light is inside its own Gaussians, which would block
+        it. The walls whose light the probe captured would block the environment.
         """
         on_meshes = self._roles.on_meshes
         lights = on_meshes if casting_lights(on_meshes) else (*self._casting_lights(meshes), *on_meshes)
@@ -291,7 +296,7 @@ def _check_scene(scene: object) -> None:
 
 
 def _receivers(scene: Scene, is_lit: bool) -> list[int]:
-    """Returns indices of the captures that shadow maps darken; if ``is_lit``, those without a reflecting material."""
+    """Returns indices of the captures that shadow maps darken; if ``is_lit``, no captures with reflecting material."""
     rows = [row for row, instance in enumerate(scene.splats) if not is_lit or emits_capture_only(instance)]
     others = len(scene.splats) - len(rows)
     if others:

@@ -39,25 +39,25 @@ SURFACE_RAYS = 512
 """Number of rays, from outside the capture, that test whether the Gaussians form surfaces."""
 
 HIT_ALPHA_MIN = 0.5
-"""Smallest alpha of a test ray from outside at which it counts as hitting the capture."""
+"""A test ray from outside hits the capture if its alpha is at least this."""
 
 HAZE_AT_ONCE_MAX = 0.6
-"""A capture of isotropic Gaussians has no surface if `SurfaceMeasure.at_once` is below this. It is 0.9 to 1 in
-captures that others trained and in baked ones, 0.39 to 0.99 in captures trained for some minutes, and 0 to 0.56 in
+"""A capture of isotropic Gaussians has no surface if `SurfaceMeasure.at_once` is below this. The measure is 0.9 to 1
+in captures that others trained and in baked ones, 0.39 to 0.99 in captures trained for some minutes, and 0 to 0.56 in
 balls of haze (docs/adr/0079-delighting-refuses-captures-without-surfaces.md)."""
 
 SURFACE_SHARP = 0.8
-"""A capture has no clear surface if `SurfaceMeasure.at_once` is below this. It is 0.90 to 1 in captures that others
-trained, in Gaussians made from meshes and in captures of the fox data set trained with flatness, and 0.66 to 0.70 in
-those trained without."""
+"""A capture has no clear surface if `SurfaceMeasure.at_once` is below this. The measure is 0.90 to 1 in captures that
+others trained, in Gaussians made from meshes and in captures of the fox data set trained with flatness. It is 0.66 to
+0.70 in captures of the fox data set trained without flatness."""
 
 AGREEING_LEAST = 0.35
 """Value of `SurfaceMeasure.agreement` below which normals count as random. It is 0.333 to 0.340 in haze, 0.41 to 0.76
 in captures that others trained, 0.5 to 0.9 in captures of the fox data set trained for some minutes."""
 
 AGREEING_COUNT = 300
-"""Smallest number of Gaussians whose normals are compared: with fewer, neighbours are far from each other and surfaces
-curve between them."""
+"""Smallest number of Gaussians whose normals are compared: if there are fewer, neighbouring Gaussians are far from
+each other, and surfaces curve between them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +66,10 @@ class SurfaceMeasure:
 
     at_once: float
     """Fraction of a ray's alpha, 0..1, that comes from within a short distance of the ray's depth: median over rays
-    from outside. At a sharp surface it is 1, in haze near 0."""
+    from outside. The fraction is 1 at a sharp surface and near 0 in haze."""
     isotropic_share: float
-    """Fraction of the Gaussians' area, 0..1, whose two shorter axes are about equal, so that they have no normal; 0 if
-    the capture stores normals."""
+    """Fraction, 0..1, of the Gaussians' area that belongs to Gaussians with two about equal shorter axes, which have
+    no normal; 0 if the capture stores normals."""
     agreement: float
     """Mean squared cosine between normals of neighbouring Gaussians, 0..1: 1/3 for random normals, 1 on a plane. It is
     set to 1 if there are fewer than `AGREEING_COUNT` visible Gaussians."""
@@ -167,7 +167,7 @@ def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, se
 
 
 def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
-    """Returns the mean squared cosine between normals of random Gaussians, drawn by ``weights``, and of neighbours."""
+    """Returns the mean squared cosine between normals of neighbours, for Gaussians drawn by the weights ``weights``."""
     rng = np.random.default_rng([seed, 12])
     visible = np.flatnonzero(weights > 0.0)
     if len(visible) < AGREEING_COUNT:
@@ -189,15 +189,15 @@ CAPTURE_GAIN_MAX = 6.0
 """Upper bound, stops, of the estimated gain of a capture's light on objects."""
 
 AROUND_ALBEDO = 0.5
-"""Assumed mean albedo of the surfaces around an object, from which the surfaces' irradiance follows. Rooms have 0.4 to
-0.6 (CIBSE, Lighting Guide 5)."""
+"""Assumed mean albedo of the surfaces around an object, used to compute their irradiance from their radiance. Rooms
+have 0.4 to 0.6 (CIBSE, Lighting Guide 5)."""
 
 GAIN_DIRECTIONS = 1024
 """Number of rays from an object that measure the fraction of directions in which it sees the capture."""
 
 
 def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, device: str = "auto") -> float:
-    """Estimates the `RenderConfig.capture_gain` that lights an object as brightly as its captured environment was lit.
+    """Estimates the `RenderConfig.capture_gain` at which objects receive as much light as the captured surfaces did.
 
     Captures are display-referred: light sources in them are clipped at white, and parts of the environment are missing.
     The surfaces around the object were lit by all of the light. With mean radiance L and albedo 0.5, they received the
@@ -207,8 +207,8 @@ def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, d
 
     Args:
         scene: Its unlit captures are the environment, whatever else is in the scene.
-        position: World position of the object, shape (3,), scene units; None: the centre of everything that is no unlit
-            capture.
+        position: World position of the object, shape (3,), scene units; None: the centre of all objects except unlit
+            captures.
         device: ``auto`` (CUDA if there is one), ``cpu``, ``cuda`` or ``cuda:N``.
 
     Returns:

@@ -1,6 +1,7 @@
 """Voxelises a capture, and measures by regression how well a light explains the brightness of its surfaces.
 
-A light explains shading if captured surfaces are brighter where its unshadowed irradiance would be larger.
+A light explains the brightness if captured surfaces are brighter where the light's irradiance would be larger, where
+the capture does not shadow them.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ SURFACE_COVERAGE = 0.3
 below."""
 
 SURFACE_FLATNESS = 0.25
-"""A voxel has a normal if the smallest variance of its Gaussians' positions is at most this fraction of the middle
-one; in foliage it is more."""
+"""A voxel has a normal if the smallest principal variance of its Gaussians' positions is at most this fraction of the
+middle one; in foliage the ratio is larger."""
 
 SURFACE_THIN = 0.5
 """A Gaussian's shortest axis is used as its normal if its smallest scale is below this fraction of its middle scale."""
@@ -47,17 +48,18 @@ SURFACE_CLIP = 0.98
 """
 
 SURFACE_OFFSET = 1.8
-"""Distance from a surface at which shadow rays start, in voxels: more than the diagonal of the voxel that the surface
-fills."""
+"""Distance from a surface, in voxels, at which shadow rays start: longer than a voxel's diagonal, because the surface
+fills a voxel itself."""
 
 SURFACE_STEP = 0.7
-"""Distance between the points at which shadow rays test for solid voxels, in voxels."""
+"""Distance, in voxels, between the points of a shadow ray that are tested for solid voxels."""
 
 SURFACE_BLOCK = 4
-"""Side, in voxels, of cubic blocks of surfaces whose regression residuals count as correlated, because texture is."""
+"""Side, in voxels, of cubic blocks. Regression residuals of surfaces in one block count as correlated, because texture
+is correlated."""
 
 SURFACES_MAX = 3000
-"""Maximum number of surface Gaussians in the regression; of more, a random subset is used."""
+"""Maximum number of surface Gaussians in the regression; if there are more, a random subset is used."""
 
 TRACE_RIDGE = 1e-6
 """Ridge of the luminance regression, relative to the mean square of its columns: in a closed room the columns of the
@@ -75,7 +77,7 @@ _DISC = [(0.0, 0.0)] + [(np.cos(angle), np.sin(angle)) for angle in np.arange(8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolidCells:
-    """A cube of n x n x n voxels, with a mask of the solid ones, which block light."""
+    """A cube of n x n x n voxels, with a mask of the solid voxels, which block light."""
 
     solid: Flags
     """True for voxels that block light, shape (n, n, n)."""
@@ -124,8 +126,8 @@ class CapturedSurfaces:
     luminance: Doubles
     """Linear luminance of each surface's SH degree 0, clipped at the quantile `SURFACE_CLIP`, shape (M,)."""
     blocks: Rows
-    """Number of the cubic block of `SURFACE_BLOCK` voxels per side that contains each surface, shape (M,); residuals
-    within a block count as correlated."""
+    """Number of the cubic block that contains each surface, shape (M,); a block is `SURFACE_BLOCK` voxels wide.
+    Residuals within a block count as correlated."""
     cells: SolidCells
     """Voxels of the whole capture, which cast shadows on the sampled surfaces."""
 
@@ -207,12 +209,13 @@ class _Discs(NamedTuple):
     normals: Doubles
     """Unit shortest axes of the Gaussians, of arbitrary sign, world space, shape (N, 3)."""
     area: Doubles
-    """``2 pi`` times opacity and the two larger world-space scales of each Gaussian, square scene units, shape (N,)."""
+    """``2 pi`` times the opacity times the two larger world-space scales of each Gaussian, square scene units, shape
+    (N,)."""
     luminance: Doubles
     """Linear luminance of each Gaussian's colour of SH degree 0, shape (N,)."""
     is_flat: Flags
-    """True for Gaussians whose smallest scale is below `SURFACE_THIN` of the middle one: their shortest axis is a
-    normal."""
+    """True for Gaussians with a smallest scale below `SURFACE_THIN` times the middle one; the shortest axis of such a
+    Gaussian is a normal."""
 
     @classmethod
     def joined(cls, parts: list[_Discs]) -> _Discs:
@@ -278,16 +281,17 @@ def _evenly_spread(rows: Rows, cells: Rows) -> Rows:
 
 
 _EVEN_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Pairs of components whose products n_i n_j span all even functions of a normal n up to degree 2."""
+"""Indices (i, j) of the products n_i n_j of a normal n's components that span all even functions of n up to degree 2.
+"""
 
 
 class Trace(NamedTuple):
-    """Result of the test whether one more light shines: how well it explains the luminance of the surfaces."""
+    """Test result for one more light beside those already found: how well it explains the luminance of the surfaces."""
 
     significance: float
     """Regression coefficient of the light's irradiance over its standard error; negative if lit surfaces are darker."""
     share: float
-    """Fraction, -1..1, of the luminance variance left by the other regression columns that the light explains;
+    """Fraction, -1..1, that the light explains of the luminance variance left by the other regression columns;
     negative if lit surfaces are darker.
     """
     factor: float
@@ -307,7 +311,7 @@ class Shading:
 
     @classmethod
     def of(cls, surfaces: CapturedSurfaces, directions: Doubles, cosines: Doubles, degree: int = 1) -> Shading:
-        """Starts a regression without lights: on a smooth SH environment and even functions of the normal.
+        """Starts a regression without lights; its columns are an SH environment and even functions of the normal.
 
         Args:
             surfaces: M surfaces.
@@ -327,7 +331,7 @@ class Shading:
         return replace(self, design=np.column_stack([self.design, irradiance]))
 
     def traces(self, irradiances: Doubles, counted: Flags | None = None) -> list[Trace]:
-        """Returns for each of L candidate lights the result of adding only this light to the regression.
+        """Returns one result for each of L candidate lights, of a regression with only this light added.
 
         Args:
             irradiances: Irradiance of the surfaces from each light in any unit, shape (M, L).
@@ -351,10 +355,10 @@ class Shading:
 
 
 def ground_direction(surfaces: CapturedSurfaces, center: Doubles) -> Doubles:
-    """Returns -4 times the mean of all directions that leave ``center`` without hitting a solid voxel, shape (3,).
+    """Returns -4 times the mean of unit directions over the sphere, with blocked directions counted as 0, (3,).
 
-    The vector points down outdoors. Its length is 1 above an endless ground under an open sky, and 0 in a closed room
-    or in the air.
+    A direction is blocked if its ray from ``center`` hits a solid voxel. The result points down outdoors. Its length is
+    1 above an endless ground under an open sky, and 0 in a closed room or in the air.
     """
     directions = even_directions(TRACE_DIRECTIONS)
     is_open = surfaces.cells.is_free(np.broadcast_to(center, directions.shape), directions)

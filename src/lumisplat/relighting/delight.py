@@ -43,20 +43,23 @@ from lumisplat.scene.ops.neighbours import Pairs, cross_pairs
 from lumisplat.scene.ops.normals import agreeing_signs, shortest_axes
 
 BRIGHT_CELLS = 6
-"""Number of environment cells that one refinement divides: those that give the most light."""
+"""Number of environment cells that one refinement divides: the cells that give the most light."""
 
 BRIGHT_PARTS = 4
 """Side of the grid of smaller cells into which a refinement divides an environment cell."""
 
 BRIGHT_REFINEMENTS = 2
-"""Number of refinements of the environment, each of which divides the `BRIGHT_CELLS` brightest cells and fits again."""
+"""Number of refinements of the environment. Each one divides the `BRIGHT_CELLS` cells that give most light, and
+repeats the fit."""
 
 CLIPPED = 0.985
-"""Display value from which a Gaussian with all channels above it counts as white: possibly too bright for the camera.
+"""Display value that all channels of a Gaussian must reach for it to count as white: possibly too bright for the
+camera.
 """
 
 EMITTERS_MAX = 8
-"""Maximum number of emitters, groups of white Gaussians, whose radiances are fitted; smaller groups are plain white."""
+"""Maximum number of emitters (groups of white Gaussians) whose radiances are fitted; the Gaussians of further, smaller
+groups are treated as white surfaces."""
 
 EMITTER_GAP = 4.0
 """Two white Gaussians belong to one emitter if their distance is at most this times the median largest scale of white
@@ -66,22 +69,24 @@ PAIRS = 24_000
 """Maximum number of pairs of neighbouring Gaussians in the albedo fit."""
 
 IRRADIANCE_KNOWN = 0.03
-"""Irradiance, relative to the median, below which a Gaussian's albedo is replaced by its neighbours'; at twice this
-value it is kept entirely."""
+"""A Gaussian's albedo is replaced by its neighbours' if its irradiance, relative to the median, is below this, and
+kept entirely from twice this value on."""
 
 MATT_LEAST = 0.2
-"""Smallest fraction of a Gaussian's reflectance that counts as diffuse after its specular reflection is subtracted."""
+"""Lower bound of the diffuse reflectance that is left when a Gaussian's specular reflection is subtracted, as a
+fraction of its total reflectance."""
 
 CONFIDENT = 0.8
-"""Confidence above which `MaterialEstimate.remarks` counts a Gaussian's roughness as determined by highlights."""
+"""Confidence above which `MaterialEstimate.remarks` counts the roughness of a Gaussian as determined by highlights."""
 
 TOO_LIGHT = 0.02
-"""Fraction of Gaussians with a problem, such as an albedo above 1, above which `MaterialEstimate.remarks` reports it.
+"""`MaterialEstimate.remarks` reports a problem, such as an albedo above 1, if more than this fraction of the Gaussians
+have it.
 """
 
 RESIDUAL_LARGE = 0.25
-"""Difference of modelled and captured radiance, relative to the captured, above which `MaterialEstimate.remarks`
-counts a Gaussian as unexplained."""
+"""`MaterialEstimate.remarks` counts a Gaussian as unexplained if modelled and captured radiance differ by more than
+this fraction of the captured radiance."""
 
 ENVIRONMENT_IMAGE_ROWS = 64
 """Height of the image of the estimated environment, pixels."""
@@ -127,13 +132,13 @@ def estimate_materials(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> MaterialEstimate:
-    """Estimates the materials of a capture, and the light it was taken in, from the capture alone.
+    """Estimates the materials of a capture, and the light in which the capture was taken, from the capture alone.
 
     Most of the light that reaches a Gaussian is visible in the capture, where rays gather it. The rest comes from the
-    environment, and from emitters too bright for a display. The radiances of both are fitted so that Gaussians of
-    similar chromaticity get similar albedos. Where colours change with the view direction, highlights determine the
-    roughness of dielectrics, unless the capture is a room with emitters: there, highlights stay in the albedo. Source:
-    docs/method/delighting.md.
+    environment, and from emitters too bright for a display. The radiances of environment and emitters are fitted so
+    that Gaussians of similar chromaticity get similar albedos. Where colours change with the view direction, highlights
+    determine the roughness of dielectrics, unless the capture is a room with emitters: there, highlights stay in the
+    albedo. Source: docs/method/delighting.md.
 
     Only the product of light and albedo is visible, so the lightest surfaces are assumed to have an albedo of 0.8. In a
     room, interreflections determine the scale a little.
@@ -194,7 +199,8 @@ _FIT_S, _HIGHLIGHT_S = 10.0, 1e-3
 """Expected seconds of one fit of the light's radiances (`_FIT_S`), and of fitting the highlights of one Gaussian
 (`_HIGHLIGHT_S`), for the progress bar; measured with 20,000 Gaussians."""
 _RAYS_PER_S = 5e5
-"""Assumed rays per second, for the progress bar, until rays are timed; captures with many layers are 20 times slower.
+"""Assumed rays per second, for the progress bar, before the first rays are timed; captures with many layers are 20
+times slower.
 """
 
 
@@ -203,7 +209,7 @@ def _costs(
 ) -> dict[str, float]:
     """Returns the expected cost of each stage of the estimate, in traced rays, by the stage's progress label.
 
-    ``inside``: a room, without an environment to refine; ``shines``: highlights are fitted, too.
+    ``inside``: the capture is a room, so no environment is refined; ``shines``: highlights are fitted, too.
     """
     fit = _FIT_S * rays_per_s
     costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: 1.0 * config.cells**2 * count, _LIGHT: fit}
@@ -286,7 +292,7 @@ class _Delighter:
         )
 
     def _checked_outgoing(self, normals: Doubles, white: Flags) -> Doubles:
-        """Returns the median radiance of N Gaussians over views of their normals' side, shape (N, 3).
+        """Returns the median radiance of N Gaussians over views from their normals' side, shape (N, 3).
 
         Raises:
             SceneError: All Gaussians are clipped at display white (``white``), or all are black.
@@ -299,7 +305,7 @@ class _Delighter:
         return outgoing
 
     def _parts(self, roughness: FloatArray, lobes: Lobes) -> tuple[Doubles, Doubles]:
-        """Returns N Gaussians' radiance in a constant environment: diffuse for albedo 1, and specular, (N, 1) each."""
+        """Returns N Gaussians' radiances in a constant environment, (N, 1) each: diffuse for albedo 1, and specular."""
         if self.config.matt:
             return np.ones((len(roughness), 1)), np.zeros((len(roughness), 1))
         matt, mirrored = lobes.in_constant_environment(roughness)
@@ -308,7 +314,7 @@ class _Delighter:
     def _finer(
         self, normals: Doubles, smoother: Smoother, cells: EnvironmentCells, incident: Irradiance, light: Light
     ) -> tuple[EnvironmentCells, Irradiance, Light]:
-        """Divides the brightest environment cells and traces rays to the parts; returns cells, irradiance, light."""
+        """Divides the brightest environment cells and traces rays to the parts; returns cells, irradiance and light."""
         power = light.environment.mean(axis=1) * cells.solid_angles
         bright = np.argsort(-power, kind="stable")[:BRIGHT_CELLS]
         others = np.setdiff1d(np.arange(len(cells)), bright)
@@ -336,9 +342,9 @@ class _Delighter:
 
 
 def _agreeing_axes(gaussians: Gaussians) -> Doubles:
-    """Returns the shortest axes of N Gaussians, with signs that turn them to one side of a common plane, (N, 3).
+    """Returns the shortest axes of N Gaussians, turned to one side of a common plane, shape (N, 3).
 
-    Rays later decide which side is visible; these signs remain where no ray can, such as on an isolated sheet.
+    Rays later decide which side is visible. Where no ray can decide, such as on an isolated sheet, the axes stay so.
     """
     axes = shortest_axes(gaussians)
     return agreeing_signs(axes)[:, None] * axes
@@ -356,20 +362,21 @@ def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
 
 
 def _unexplained(outgoing: Doubles, explained: Doubles) -> FloatArray:
-    """Returns ``|explained - outgoing| / outgoing`` of N Gaussians' radiances, means over channels, shape (N,)."""
+    """Returns ``mean(|explained - outgoing|) / mean(outgoing)`` of N Gaussians, with means over channels, (N,)."""
     difference = np.abs(explained - outgoing).mean(axis=1)
     return (difference / np.maximum(outgoing.mean(axis=1), RADIANCE_LEAST)).astype(np.float32)
 
 
 def is_white(gaussians: Gaussians, normals: Doubles) -> Flags:
-    """Returns which of N Gaussians show at least `CLIPPED` in all channels, seen against their normals, (N,)."""
+    """Returns which of N Gaussians, seen against their normals, show at least `CLIPPED` in all channels, (N,)."""
     return (colors_along(gaussians, -normals) >= CLIPPED).all(axis=1) & (gaussians.opacities > 0.0)
 
 
 def emitters_of(gaussians: Gaussians, white: Flags) -> Rows:
     """Groups neighbouring white Gaussians into emitters; returns each Gaussian's emitter, -1 for none, shape (N,).
 
-    Emitters are numbered from 0 by their number of Gaussians, largest first; beyond `EMITTERS_MAX` they get -1.
+    The emitter with most Gaussians has number 0, the next 1, and so on. Gaussians of groups after the first
+    `EMITTERS_MAX` get -1.
     """
     bright = np.flatnonzero(white)
     groups = np.full(gaussians.count, -1)
@@ -401,30 +408,30 @@ class MaterialEstimate:
     emitter_of: Rows
     """Index of the emitter that each Gaussian belongs to, -1 for none, shape (N,)."""
     residual: FloatArray
-    """Difference between each Gaussian's captured radiance and the model, relative to the captured radiance, >= 0,
+    """Absolute difference between each Gaussian's captured and modelled radiance, relative to the captured radiance,
     shape (N,)."""
     confidence: FloatArray
     """Fraction of the irradiance at each Gaussian that is visible in the capture rather than estimated, 0..1, shape
     (N,)."""
     roughness_confidence: FloatArray
-    """How narrowly highlights determine each Gaussian's roughness, 0..1, shape (N,). At 0 the roughness is an assumed
-    0.8, as in a capture whose colours do not change with the view direction."""
+    """Degree, 0..1, to which highlights determine each Gaussian's roughness, shape (N,). At 0 the roughness is an
+    assumed 0.8, as in a capture whose colours do not change with the view direction."""
     is_inside: bool
-    """True if the capture was treated as taken from inside a room, whose light all comes from the capture itself."""
+    """True if the capture was treated as taken from inside a room: all light then comes from the capture itself."""
     out_of_range: Flags
     """True for Gaussians whose albedo would exceed 1 in a channel, because they received more light than was
-    estimated, shape (N,). Their albedo is scaled by one factor, so that the largest channel is 1 and the hue stays."""
+    estimated, shape (N,). Their albedo is scaled by one factor to a largest channel of 1, so that the hue stays."""
     is_white: Flags
     """True for Gaussians clipped at display white, except emitters, shape (N,); their albedo is a guess."""
     is_too_dark: Flags
-    """True for Gaussians that are darker in a channel than the specular reflection that a dielectric would have, shape
-    (N,). Relit, they become lighter in that channel, and saturated colours paler."""
+    """True for Gaussians that in some channel are darker than a dielectric's specular reflection would be, shape (N,).
+    Relighting makes them lighter in that channel, and saturated colours paler."""
 
     def environment_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
         """Returns the environment as a latitude-longitude image, shape (H, 2 H, 3); black if there is no environment.
 
         Args:
-            rotation_wxyz: Rotation from image to world, such as ``scene.upright_wxyz``. A `LightEnvironment` with the
+            rotation_wxyz: Rotation from image to world, such as ``scene.upright_wxyz``. A `LightEnvironment` with this
                 image and this rotation gives the estimated light.
         """
         directions = (

@@ -36,7 +36,7 @@ from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.scene import Scene, SplatInstance
 
 INSIDE = 0.5
-"""Smallest fraction of a pixel that the object must cover for the pixel to be compared with ground truth."""
+"""A pixel is compared with ground truth if the object covers at least this fraction of the pixel."""
 
 LAYERS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
 """EXR channels of each material layer that has ground truth, by the layer's name."""
@@ -56,7 +56,7 @@ class RelightableSet:
     layers: tuple[str, ...]
     """Names of the material layers (keys of `LAYERS`) for which the folder has ground-truth images."""
     unseen: tuple[str, ...]
-    """Names of the lights of subfolder ``relit``, under which no training image was made."""
+    """Names of the lights in the subfolder ``relit``. No training image was made under these lights."""
     specular: float
     """Strength of the true surfaces' specular highlights, as `MaterialPbr.specular`; 0: Lambertian."""
 
@@ -81,7 +81,7 @@ class RelightableSet:
         return cls(root, views, layers, unseen, _specular(root / "set.json"))
 
     def region(self, view: TrainingImage) -> Flags:
-        """Returns a mask of the pixels that the object covers by at least half, (H, W); all, for images without alpha.
+        """Returns a mask, (H, W), of the pixels that the object covers by at least half; all True without an alpha.
 
         Raises:
             FormatError: The object covers no pixel.
@@ -95,7 +95,7 @@ class RelightableSet:
         return inside
 
     def layer(self, name: str, view: TrainingImage) -> FloatArray:
-        """Reads a ground-truth layer of a view, C channels, shape (H, W, C).
+        """Reads the ground-truth layer ``name`` of a view, C channels, shape (H, W, C).
 
         Raises:
             FormatError: The file is missing, damaged, of another size, or not finite.
@@ -139,7 +139,7 @@ class RelightableSet:
         return read_scene_file(file, _refuse).lights
 
     def environment(self) -> FloatArray | None:
-        """Reads the true environment of the training images, linear, shape (H, W, 3); None if local lights lit them.
+        """Reads the true environment of the training images, linear, (H, W, 3); None if local lights lit the images.
 
         Raises:
             FormatError: The file is missing or damaged.
@@ -151,7 +151,7 @@ class RelightableSet:
 
 
 def _refuse(path: PathLike) -> NoReturn:
-    """Raises an error: a scene file of lights refers to the file ``path``, but may contain only lights."""
+    """Raises an error: a scene file that may contain only lights refers to the file ``path``."""
     raise FormatError(path, "is named in a light file of a data set, expected only [[lights]] and [environment]")
 
 
@@ -183,7 +183,7 @@ def _specular(path: Path) -> float:
 
 
 RELIT_SAMPLES = 64
-"""Default samples per pixel of relit images; docs/guide/materials.md#noise states the noise that remains."""
+"""Default samples per pixel of relit images; docs/guide/materials.md#noise states how much noise they leave."""
 
 
 def evaluate_materials(
@@ -198,21 +198,21 @@ def evaluate_materials(
 ) -> MaterialEvaluation:
     """Compares a capture's materials, normals and appearance under new light with ground truth.
 
-    Pixels are compared where the object covers at least half of them. The capture is rendered from the cameras of the
+    Pixels are compared if the object covers at least half of the pixel. The capture is rendered from the cameras of the
     held-out images. Its albedo is scaled by one factor per channel, the median ratio to the ground truth over all
     views. The scaled albedo is relit under light in which no training image was made. The metrics are defined in the
     guide (docs/guide/materials.md#figures).
 
     Args:
-        gaussians: The capture, with those of ``albedo``, ``normals`` and ``roughness`` that were estimated. Without an
-            albedo, its captured colours are used, decoded and without view dependence.
+        gaussians: The capture with its estimates: any of ``albedo``, ``normals`` and ``roughness``. Without an albedo,
+            its captured colours are used, decoded and without view dependence.
         folder: A data set made by tools/make_relightable_set.py or make_relightable_room.py.
         environment: Estimated environment of the training images, linear radiance, shape (H, W, 3), with the axes of
             `LightEnvironment`; None: it was not estimated.
         config: Settings of the relit renders. None: ``Pipeline.HYBRID``, which has shadows and no bounces; if local
-            lights light a room, ``Pipeline.PATH``, which has both. Frames have no background. If the pipeline
-            rasterises or rays have a footprint, samples go through pixel centres, as in training; only rays without a
-            footprint, as for antialiased captures, are jittered.
+            lights light a room, ``Pipeline.PATH``, which has shadows and bounces. Frames have no background. If the
+            pipeline rasterises or rays have a footprint, samples go through pixel centres, as in training; only rays
+            without a footprint, as for antialiased captures, are jittered.
         samples: Samples per pixel of relit images. None: the number in ``config``, or 64 if ``config`` sets none, so
             that noise is a small part of the error (docs/guide/materials.md#noise).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
@@ -288,7 +288,10 @@ def _panorama(environment: npt.ArrayLike) -> FloatArray:
 
 
 def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tuple[float, list[str]]:
-    """Returns the PSNR of the estimated environment ``found`` in dB, NaN if it cannot be compared, and remarks why."""
+    """Returns the PSNR of the estimated environment ``found``, dB, and remarks; NaN if no comparison is possible.
+
+    The remarks give the reasons.
+    """
     if found is None:
         return math.nan, []
     true = truth.environment()
@@ -300,7 +303,7 @@ def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tupl
 def _compared_views(
     truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress
 ) -> Iterator[ComparedView]:
-    """Yields for each held-out view the rendered and true layers that both capture and data set have."""
+    """Yields each held-out view with its rendered and true layers, less those that capture or data set lack."""
     layers = LayerRenderer.of(gaussians, device)
     for number, view in enumerate(truth.views):
         report("comparing layers", number / len(truth.views))
@@ -313,7 +316,7 @@ def _compared_views(
 def _relit(
     truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress
 ) -> list[dict[str, Pair]]:
-    """Renders the capture under each unseen light; returns for each view (render, ground truth) by the light's name."""
+    """Renders the capture under each unseen light; returns per view the (render, ground truth) pairs by light name."""
     pictures: list[dict[str, Pair]] = [{} for _ in truth.views]
     for number, name in enumerate(truth.unseen):
         scene = relit_scene(gaussians, truth.lights(name), scale, truth.specular)
@@ -326,7 +329,7 @@ def _relit(
 
 
 def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
-    """Yields a sentence for each layer that the data set or the capture lacks, so that it is not compared."""
+    """Yields a sentence for each layer that is not compared, because the data set or the capture lacks it."""
     for name in ("albedo", "normal", "roughness"):
         if name not in truth.layers:
             yield f"no ground truth for {name}: {truth.folder / 'truth' / name} is missing"
@@ -366,13 +369,14 @@ class MaterialView:
 
     name: str
     coverage: float
-    """Fraction of the image's pixels that are compared, 0..1: those of which the object covers at least half."""
+    """Fraction, 0..1, of the image's pixels that are compared: the object covers at least half of each of these
+    pixels."""
     albedo_psnr: float
-    """PSNR, dB, of the sRGB-encoded albedo after scaling each channel by the factor of all views, `albedo_scale`."""
+    """PSNR, dB, of the sRGB-encoded albedo after each channel is multiplied by `MaterialEvaluation.albedo_scale`."""
     albedo_psnr_unscaled: float
     """PSNR, dB, of the sRGB-encoded albedo as estimated, without the scale to ground truth."""
     albedo_psnr_linear: float
-    """PSNR, dB, of the linear albedo after scaling each channel by the factor of all views, `albedo_scale`."""
+    """PSNR, dB, of the linear albedo after each channel is multiplied by `MaterialEvaluation.albedo_scale`."""
     normal_mean: float
     """Mean angle between estimated and true normals over the view's compared pixels, degrees."""
     normal_median: float
@@ -382,22 +386,23 @@ class MaterialView:
     relit: Mapping[str, RelitFigures]
     """Image metrics of this view under each unseen light, by the light's name."""
     region: Flags
-    """Mask of the pixels that are compared: the object covers at least half of each, shape (H, W)."""
+    """Mask, shape (H, W), of the pixels that are compared: the object covers at least half of each of these pixels."""
     pictures: Mapping[str, tuple[FloatArray, FloatArray]]
-    """Estimated and ground-truth images, display colours, shape (H, W, 3) each, by ``albedo``, ``normal``,
-    ``roughness`` and ``relit/NAME`` for each unseen light."""
+    """(Estimate, ground truth) as display images, shape (H, W, 3) each. The keys are ``albedo``, ``normal``,
+    ``roughness``, and ``relit/NAME`` for each unseen light."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialEvaluation:
     """Metrics of estimated materials and light against ground truth, as `evaluate_materials` computes them.
 
-    Metrics are NaN where the data set has no ground truth, or the capture no estimate; ``remarks`` lists the reasons.
-    PSNR, SSIM and FLIP are means over the views; other metrics are over the pixels of all views.
+    A metric is NaN if the data set has no ground truth for it, or the capture no estimate; ``remarks`` lists the
+    reasons. PSNR, SSIM and FLIP are means over the views; other metrics are over the pixels of all views.
     """
 
     albedo_scale: tuple[float, float, float]
-    """Factor of each channel by which the estimated albedo is scaled to the ground truth; 1 without ground truth."""
+    """Factor by which each channel of the estimated albedo is multiplied to fit the ground truth; 1 without ground
+    truth."""
     albedo_psnr: float
     """PSNR of the sRGB-encoded albedo after scaling by ``albedo_scale``, dB."""
     albedo_psnr_unscaled: float
@@ -438,14 +443,14 @@ class ComparedView:
 
     name: str
     region: Flags
-    """Mask of the pixels that are compared: the object covers at least half of each, shape (H, W)."""
+    """Mask, shape (H, W), of the pixels that are compared: the object covers at least half of each of these pixels."""
     layers: Mapping[str, Pair]
     """(Estimate, ground truth) of each layer, such as ``albedo``, that both capture and data set have."""
     relit: Mapping[str, Pair]
     """(Render, ground truth) under each unseen light, display colours over black, by the light's name."""
 
     def counted(self, layer: str) -> tuple[Doubles, Doubles]:
-        """Returns estimate and ground truth of a layer at N compared pixels, (N, C) each; N is 0 without the layer."""
+        """Returns estimate and ground truth of a layer at N compared pixels, (N, C) each; without the layer, N is 0."""
         if layer not in self.layers:
             return np.zeros((0, 3)), np.zeros((0, 3))
         found, truth = self.layers[layer]
@@ -473,7 +478,7 @@ def roughness_rmse(views: Sequence[ComparedView]) -> float:
 
 
 def measured(view: ComparedView, scale: Channels) -> tuple[MaterialView, list[str]]:
-    """Computes the metrics and images of a view; returns them, and a sentence for each metric that is missing.
+    """Computes the metrics and images of a view; also returns a sentence for each metric that is missing.
 
     Args:
         view: The view, with relit images of the scaled albedo.
@@ -542,7 +547,7 @@ def _display_images(view: ComparedView, scale: Channels) -> dict[str, Pair]:
 
 
 def with_albedo(gaussians: Gaussians) -> Gaussians:
-    """Returns the Gaussians with an albedo; without one, their captured colours, decoded, without view dependence."""
+    """Returns the Gaussians with an albedo; if they have none, it is their decoded mean captured colour."""
     if gaussians.albedo is not None:
         return gaussians
     captured = np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0.0, 1.0)
@@ -551,7 +556,7 @@ def with_albedo(gaussians: Gaussians) -> Gaussians:
 
 @dataclass(frozen=True, slots=True)
 class LayerRenderer:
-    """Renders images of a capture's albedo, normals and roughness, with the values that lit frames use."""
+    """Renders a capture's albedo, normals and roughness to images, as lit frames use these three."""
 
     renderer: Renderer
     unlit: Renderer
@@ -604,6 +609,6 @@ def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[fl
 
 
 def over_black(renderer: Renderer, scene: Scene, camera: Camera) -> FloatArray:
-    """Renders sRGB colours times alpha, shape (H, W, 3): blended over black as the data set's images are."""
+    """Renders sRGB colours times alpha, shape (H, W, 3): blended over black, like the images of the data set."""
     pixels = renderer.render(scene, camera).pixels_srgb()
     return pixels[..., :3] * pixels[..., 3:]

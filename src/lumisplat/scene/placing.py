@@ -1,4 +1,4 @@
-"""Transforms of objects from position, angles and front axis; up and front directions of scenes without them."""
+"""Transforms of objects from position, angles and front axis; up and front directions of scenes that state none."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _FRONTS: dict[str, Vector] = {
     "x-up": (0.0, 0.0, 1.0),
     "x-down": (0.0, 0.0, 1.0),
 }
-"""By the name of the up axis, unit direction from a scene to a viewer in front of it: captures (y-down) are viewed
-along +z, glTF files (y-up) along -z."""
+"""Unit direction from a scene to a viewer in front of the scene, by the name of the up axis. Captures (y-down) are
+viewed along +z, glTF files (y-up) along -z."""
 
 
 def up_vector_or_none(up: str | npt.ArrayLike | None, name: str = "up") -> Vector | None:
@@ -62,7 +62,7 @@ def up_vector(up: str | npt.ArrayLike) -> Vector:
 
 
 def y_up_from(up: npt.ArrayLike) -> Doubles:
-    """Returns the rotation, shape (3, 3), from a scene's axes to glTF's: y up, and z towards a viewer in front.
+    """Returns the rotation, (3, 3), from a scene's axes to those of glTF: y up, z towards a viewer before the scene.
 
     For scenes with y down the rotation is 180 degrees about x.
 
@@ -88,7 +88,7 @@ def front_vector(up: npt.ArrayLike) -> Doubles:
 
 
 FRONT_AXES = {"+z": 0.0, "-z": 180.0, "+x": -90.0, "-x": 90.0}
-"""For each possible front axis of an object with y up, the rotation about y, degrees, that turns this axis to +z."""
+"""Rotation about y, degrees, that turns a front axis of an object with y up to +z, by the name of the front axis."""
 
 
 class Placement(NamedTuple):
@@ -102,12 +102,12 @@ class Placement(NamedTuple):
     scale: float | None = None
     """Uniform scale factor, above 0; None: 1."""
     up: str | npt.ArrayLike | None = None
-    """Up direction of the scene: an object with y up is rotated so that its y axis points there. None: y up, no
-    rotation."""
+    """Up direction of the scene: the y axis of the object, which is up in its file, is rotated to this direction.
+    None: no such rotation."""
     look_at: npt.ArrayLike | None = None
     """World position towards which the object's front axis is turned; None: the front of the scene (`front_vector`)."""
     front: str | None = None
-    """Axis of the object, before any rotation, that is its front: a key of `FRONT_AXES`; None: +z, as in glTF."""
+    """Axis that is the object's front before any rotation, a key of `FRONT_AXES`; None: +z, as in glTF."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -123,17 +123,18 @@ class PlacedInstance:
     scale_by: InitVar[float | None] = None
     """Uniform scale factor, above 0; None: 1."""
     up: InitVar[str | npt.ArrayLike | None] = None
-    """Up direction of the scene, by name (``"y-down"``) or as a vector: an object with y up, as in glTF, is rotated so
-    that its y axis points there. None: no such rotation."""
+    """Up direction of the scene, by name (``"y-down"``) or as a vector: the y axis of the object, up in glTF files, is
+    rotated to this direction. None: no such rotation."""
     look_at: InitVar[npt.ArrayLike | None] = None
-    """World position towards which the object's front is turned; None: the front of the scene for ``up``."""
+    """World position towards which the object's front is turned. None: the front is turned to the front of the scene.
+    """
     front: InitVar[str | None] = None
-    """Axis of the object that faces the front of the scene, or ``look_at``: ``"+z"`` (the default, as in glTF),
-    ``"-z"``, ``"+x"`` or ``"-x"``. Needs ``up`` or ``look_at``."""
+    """Axis of the object that is turned to the front of the scene, or to ``look_at``: ``"+z"`` (the default, as in
+    glTF), ``"-z"``, ``"+x"`` or ``"-x"``. Needs ``up`` or ``look_at``."""
 
     @property
     def transform(self) -> Doubles:
-        """Object-to-world matrix, shape (4, 4): ``world_from_object`` after construction, when it is no longer None."""
+        """Object-to-world matrix, (4, 4): the field ``world_from_object``, which is not None after construction."""
         # The subclasses declare this field after the asset.
         matrix: Doubles | None = getattr(self, "world_from_object")  # noqa: B009
         assert matrix is not None
@@ -158,7 +159,7 @@ class PlacedInstance:
 
 
 def placed(world_from_object: npt.ArrayLike | None, placing: Placement, origin: Vector = (0.0, 0.0, 0.0)) -> Doubles:
-    """Returns the given matrix, or else one that scales, rotates, stands upright and then moves, shape (4, 4).
+    """Returns the given matrix, or else one that scales, rotates, stands upright and then moves an object, (4, 4).
 
     Without a position in ``placing``, the object moves to ``origin``.
 
@@ -206,7 +207,7 @@ def _standing(placing: Placement, position: Doubles) -> Doubles:
     Without ``look_at`` the front turns to `front_vector`. ``position`` is the object's world position.
 
     Raises:
-        SceneError: The front is no axis, or the target lies straight above or below.
+        SceneError: The front is no axis, or ``look_at`` lies straight above or below ``position``.
     """
     to_z = front_rotation(placing.front)
     up = np.array(up_vector("y-up" if placing.up is None else placing.up))

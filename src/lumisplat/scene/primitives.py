@@ -69,7 +69,7 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
 
     Args:
         radius: Radius, scene units.
-        rows: Rings of faces from pole to pole, 2 to 1024; each ring has twice as many faces as there are rings.
+        rows: Number of rings of faces from pole to pole, 2 to 1024; each ring has 2 * ``rows`` faces.
         material: Material; None: the default.
 
     Raises:

@@ -25,8 +25,8 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.placing import UP_AXES, PlacedInstance, Placement, up_vector, up_vector_or_none, y_up_from
 
 BULK_TAIL = 0.02
-"""Fraction of a capture's total opacity that its bulk, the box of `Scene.bulk_bounds`, leaves out at each end of each
-axis: stray Gaussians must neither set the view nor raise an object above the ground."""
+"""Fraction of a capture's total opacity outside its bulk (the box of `Scene.bulk_bounds`) at each end of each axis:
+stray Gaussians must neither set the view nor raise an object above the ground."""
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
@@ -43,7 +43,7 @@ class SplatInstance(PlacedInstance):
 
     Raises:
         SceneError: ``gaussians`` is not a `Gaussians`, or ``world_from_object`` mirrors, shears or scales the axes
-            differently; the message says which, and by how much.
+            differently; the message names the fault and its size.
     """
 
     gaussians: Gaussians
@@ -54,9 +54,9 @@ class SplatInstance(PlacedInstance):
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = field(default=SH_DEGREE_MAX, kw_only=True)
     """Highest SH degree that is evaluated. A lower degree removes view-dependent colour that was baked in."""
     shadow_catcher: bool = field(default=False, kw_only=True)
-    """Make the capture a shadow catcher: it shows its captured colours, darkened where other objects block a light.
-    Lights do not brighten it, and its own Gaussians do not shadow it. Its ambient light, the ``ambient`` of a
-    `MaterialSimple` (0.5 without a material), sets how dark shadows are."""
+    """Make the capture a shadow catcher: the capture shows its captured colours, darkened where other objects block a
+    light. Lights do not brighten the capture, and its own Gaussians do not shadow it. Its ambient light, the
+    ``ambient`` of a `MaterialSimple` (0.5 without a material), sets how dark shadows are."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")
@@ -100,10 +100,10 @@ class MeshInstance(PlacedInstance):
     world_from_object: npt.NDArray[np.float64] | None = None
     """Affine transform, shape (4, 4); None: a translation to the ``origin`` of the mesh."""
     shadow_catcher: bool = field(default=False, kw_only=True)
-    """Make the mesh a shadow catcher: the frame shows only the shadows of other objects on it, and on a shiny mesh
-    also their reflections. It stands for a surface of a capture, or of an image composited behind the frame; it hides
-    nothing and casts no shadow. Captures with a reflecting material shadow it; unlit captures do only if another
-    capture is a shadow catcher."""
+    """Make the mesh a shadow catcher: the frame shows only the shadows of other objects on the mesh, and, if it is
+    shiny, their reflections. The mesh stands for a surface of a capture, or of an image composited behind the frame. It
+    hides nothing and casts no shadow. Captures with a reflecting material cast shadows on the mesh. Unlit captures cast
+    shadows on it only if another capture is a shadow catcher."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
@@ -187,7 +187,7 @@ class Scene:
 
     @property
     def is_lit_by_default(self) -> bool:
-        """True if frames are lit unless ``RenderConfig.lighting`` says otherwise: the scene has lights or meshes.
+        """True if the scene has lights or meshes: frames are then lit unless ``RenderConfig.lighting`` is given.
 
         Meshes without any light would be flat areas of colour, so the captures around them light them, or a headlight
         at the camera does. Captures without meshes or lights show their captured colours.
@@ -206,7 +206,7 @@ class Scene:
 
     @property
     def up_direction(self) -> Vector:
-        """Unit vector that points up: ``up``, else that of the first capture that stores one, else a guess.
+        """Unit vector that points up: ``up``, else the up direction of the first capture with one, else a guess.
 
         The guess is y down for a scene with a capture, and y up for a scene of meshes. `up_source` names the source
         used.
@@ -240,7 +240,7 @@ class Scene:
 
     @property
     def upright_wxyz(self) -> tuple[float, float, float, float]:
-        """Quaternion, scalar first, that rotates an object with y up upright in the scene.
+        """Quaternion, scalar first, of the rotation that stands an object with y up upright in the scene.
 
         The object's +z side, its front in glTF, then faces the viewer for whom `front_vector` defines the scene's
         front.
@@ -261,9 +261,9 @@ class Scene:
         return np.min(lows, axis=0), np.max(highs, axis=0)
 
     def bulk_bounds(self) -> Bounds:
-        """Returns the world-space corners (min, max) of a box around meshes, and captures less outliers, (3,) each.
+        """Returns the world-space corners (min, max), (3,) each, of a box around meshes and the bulk of captures.
 
-        Stray Gaussians are ignored: 2 % of a capture's opacity is left out at each end of each axis.
+        The bulk of a capture ignores stray Gaussians: 2 % of its opacity is left out at each end of each axis.
 
         Raises:
             SceneError: The scene is empty.
@@ -278,12 +278,11 @@ class Scene:
 
 
 _BULKS: WeakKeyDictionary[Gaussians, tuple[bytes, Bounds]] = WeakKeyDictionary()
-"""Cache of captures' boxes without stray Gaussians: the instance's transform as bytes, and the world-space (min, max).
-"""
+"""Cache of captures' bulk boxes: the transform of the instance as bytes, and the box (min, max) in world space."""
 
 
 def _bulk(instance: SplatInstance) -> Bounds:
-    """Returns the world-space box around an instance's means, less the outer 2 % of opacity at each end of an axis."""
+    """Returns the world-space box of an instance's means, less the outer 2 % of opacity at each end of each axis."""
     place = instance.transform.tobytes()
     held = _BULKS.get(instance.gaussians)
     if held is None or held[0] != place:
@@ -295,7 +294,7 @@ def _bulk(instance: SplatInstance) -> Bounds:
 
 
 def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray, tail: float = BULK_TAIL) -> tuple[float, float]:
-    """Returns the heights below and above which Gaussians with the fraction ``tail`` of all weights lie.
+    """Returns two heights: the fraction ``tail`` of all weight lies below the first, and as much above the second.
 
     Args:
         heights: Height of each Gaussian, in any direction, shape (N,).
@@ -318,7 +317,7 @@ def _height_at(
     share: npt.NDArray[np.float64],
     wanted: float,
 ) -> float:
-    """Returns the smallest height at and below which the weights of the points sum to ``wanted``.
+    """Returns the smallest height whose cumulative weight, over all points up to that height, reaches ``wanted``.
 
     Args:
         heights: Heights of N points, shape (N,).

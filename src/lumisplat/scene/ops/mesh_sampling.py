@@ -1,4 +1,4 @@
-"""Conversion of meshes to Gaussians: flat discs over their surface, so that an object exists in both forms.
+"""Conversion of meshes to Gaussians: flat discs cover the surfaces, so that an object exists in both forms.
 
 Discs are aligned with creases, and grow until no hole is left. Several meshes share the number of discs by area.
 """
@@ -72,26 +72,27 @@ SAMPLING_GROWTH_STEPS = 8
 """Largest number of growth steps of a disc Gaussian: it reaches at most 1.08^8 = 1.85 times its first scale."""
 
 SAMPLING_GROWTH_REACH = 0.5
-"""At an uncovered point the nearest disc grows, and with it all discs whose Gaussian exponent there is at most this
-much larger, so that no disc grows alone."""
+"""At an uncovered point, the disc with the smallest Gaussian exponent there grows, and so does every disc whose
+exponent exceeds the smallest one by at most this, so that no disc grows alone."""
 
 SAMPLING_COVERED_ALPHA = 0.95
 """Alpha of all discs together from which a candidate point counts as covered."""
 
 SAMPLING_FACING_COSINE = -0.5
-"""Near points on a mesh lie on the two sides of a thin wall if the cosine between their face normals is below this."""
+"""Near points of a mesh are taken to lie on opposite sides of a thin wall if the cosine between their face normals is
+below this."""
 
 SAMPLING_AXIS_COSINE = 0.97
-"""A disc faces along the shading normal if the cosine between it and the face's normal exceeds this (14 degrees), else
-along the face's normal."""
+"""A disc faces along the shading normal if the cosine between shading and face normal exceeds this (14 degrees), else
+along the face normal."""
 
 SAMPLING_EDGE_BAND = 0.2
-"""Distance from a crease, in spacings between Gaussians, within which holes are allowed: discs that cover them would
-reach over the crease."""
+"""Distance from a crease, in spacings between Gaussians, within which holes are allowed: discs that covered these
+holes would reach over the crease."""
 
 SAMPLING_EDGE_ROW = 0.45
-"""Lower bound of the limit on a disc's scale across a nearby crease, in spacings between Gaussians, however near the
-crease."""
+"""Upper bound of a disc's scale across a nearby crease, in spacings between Gaussians; if 0.75 times the disc's
+distance from the crease is more, that is the bound."""
 
 SAMPLING_CREASE_POINTS_PER_GAUSSIAN = 50
 """Largest number of sample points on creases per Gaussian. Compact objects need fewer than ten; thin slivers, with
@@ -139,7 +140,7 @@ def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spac
 def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
     """Returns the largest scales along N discs' two in-plane axes, shape (N, 2); inf for discs far from creases.
 
-    With them a disc reaches over a crease by only a fraction of ``spacing``.
+    A disc within these limits reaches over a crease by only a fraction of ``spacing``.
     """
     limits = np.full((positions.shape[0], 2), np.inf)
     if not creases.positions.size:
@@ -169,11 +170,12 @@ def _grow_scales(
 ) -> _Floats:
     """Returns the smallest in-plane scales with which N discs cover all inner candidates, shape (N, 2).
 
-    Discs start small and round. Where a candidate is not yet opaque, the discs that cover most of it grow by a step.
+    Discs start small and round. Where a candidate is not yet opaque, the discs that cover most of the candidate grow by
+    a step.
 
     Args:
         candidates: M points on the surface, shape (M, 3).
-        inner: Candidates that must be covered: those not next to a crease, shape (M,).
+        inner: True for candidates that must be covered because no crease is near, shape (M,).
         chosen: Indices of the N candidates at which the Gaussians have their centres, shape (N,).
         pairs: Pairs of near candidates; a Gaussian covers only its partners.
         axes: Axes of each Gaussian as columns, shape (N, 3, 3).
@@ -199,7 +201,7 @@ def _grow_scales(
 
 
 def _covering_pairs(pairs: Pairs, chosen: _Indices, inner: npt.NDArray[np.bool_]) -> tuple[_Indices, _Indices]:
-    """Pairs the candidates ``inner`` that are no centre of a Gaussian with the Gaussians near them.
+    """Pairs each candidate that is ``inner`` and not a centre of a Gaussian with the Gaussians near it.
 
     Returns:
         Index of the candidate and index of the Gaussian of each pair.
@@ -218,10 +220,11 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     """Covers a mesh with opaque, flat, surface-aligned Gaussians: the same object as splats.
 
     Centres are blue noise: candidates stratified by area, thinned by Poisson-disk elimination. The thin axis is the
-    surface normal. The wide axes grow from the local spacing until no hole is left, and shrink towards creases and open
-    edges, over which they reach by a fraction of the spacing. Colour is the unlit base colour (material times vertex
-    colour times texture), encoded as display-referred sRGB in SH degree 0. Textures are averaged over about half
-    a spacing, because discs blur by themselves (mip pyramid, Williams 1983); the textures' alpha is ignored.
+    surface normal. The wide axes grow from the local spacing until no hole is left. Near creases and open edges the
+    wide axes are shorter, so that discs reach over an edge by only a fraction of the spacing. Colour is the unlit base
+    colour (material times vertex colour times texture), encoded as display-referred sRGB in SH degree 0. Textures are
+    averaged over about half a spacing, because discs blur by themselves (mip pyramid, Williams 1983); the textures'
+    alpha is ignored.
 
     Discs touch the surface at their centres, so that silhouettes of curved meshes reach beyond the mesh: ray traced, a
     ball of 2,000 Gaussians covers 5.8 % more than the mesh, one of 20,000 0.8 %. Rasterised silhouettes reach up to a
@@ -245,7 +248,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
 
 
 class SurfaceSamples(NamedTuple):
-    """N disc Gaussians that cover a mesh, and where on which triangle each has its centre."""
+    """N disc Gaussians that cover a mesh, with the triangle and barycentric coordinates of each disc's centre."""
 
     gaussians: Gaussians
     faces: npt.NDArray[np.integer]

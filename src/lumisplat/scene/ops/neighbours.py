@@ -32,8 +32,8 @@ def sort_morton(gaussians: Gaussians) -> Gaussians:
 def morton_order(positions: _Floats) -> npt.NDArray[np.int64]:
     """Returns indices that sort N points, shape (N, 3), along a Morton curve with 2^21 cells per axis.
 
-    A thousandth of the points at each end of an axis is clamped, so that one outlier cannot put all other points into
-    one cell.
+    A thousandth of the points at each end of each axis is clamped; otherwise one outlier could put all other points
+    into one cell.
     """
     low, high = np.quantile(positions.astype(np.float64), (0.001, 0.999), axis=0)
     extent = np.maximum(high - low, np.finfo(np.float32).tiny)
@@ -63,8 +63,8 @@ SAMPLING_RADIUS_STEP = 0.97
 """Factor by which the radius of Poisson-disk elimination shrinks, repeatedly, while too few points are selected."""
 
 SAMPLING_RADIUS_STEPS_MAX = 100
-"""Largest number of times that the Poisson-disk radius shrinks, to a twentieth in all. Points still closer than that
-are selected by priority until the wanted number is reached."""
+"""Largest number of times that the Poisson-disk radius shrinks, to a twentieth in all. Points closer together than the
+last radius are then selected by priority until the wanted number is reached."""
 
 _Indices = npt.NDArray[np.integer]
 
@@ -114,7 +114,7 @@ def neighbour_pairs(points: npt.NDArray[np.floating], radius: float) -> Pairs:
 
 
 def cross_pairs(points: npt.NDArray[np.floating], others: npt.NDArray[np.floating], radius: float) -> Pairs:
-    """Returns all pairs of a point of ``points`` (``first``) and a point of ``others`` (``second``) within ``radius``.
+    """Returns the pairs of one of ``points`` (``first``) and one of ``others`` (``second``) closer than ``radius``.
 
     Args:
         points: M points, shape (M, 3).
@@ -127,7 +127,7 @@ def cross_pairs(points: npt.NDArray[np.floating], others: npt.NDArray[np.floatin
 
 
 def _closer(points: FloatArray, others: FloatArray, first: _Indices, second: _Indices, radius: float) -> Pairs:
-    """Returns the pairs of ``points[first]`` and ``others[second]`` nearer than the radius in float32, sorted."""
+    """Returns, sorted, the pairs of ``points[first]`` and ``others[second]`` closer than the radius in float32."""
     order = np.lexsort((second, first))
     first, second = first[order], second[order]
     step = points[first] - others[second]
@@ -142,7 +142,8 @@ def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) ->
     Points are visited by priority, in parallel: a point is selected if no undecided or selected point with a higher
     priority is within the radius. When no more points fit, the radius shrinks a little and the remaining points are
     tried again (dart throwing in the order of McCool and Fiume 1992, in parallel by Luby's independent-set rule). In
-    the end every unselected point is closer to a selected one than the final radius, up to one shrinking step.
+    the end, the distance from every unselected point to the nearest selected one is below the final radius, up to one
+    shrinking step.
 
     Args:
         pairs: All neighbours closer than ``radius``.
@@ -170,7 +171,7 @@ def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) ->
 
 
 def _fill_up(selected: npt.NDArray[np.bool_], more: npt.NDArray[np.bool_], priority: _Indices, count: int) -> _Indices:
-    """Returns the sorted indices of ``selected`` plus as many points of ``more``, by priority, as make ``count``."""
+    """Returns ``count`` sorted indices: all points of ``selected``, and those of ``more`` with the highest priority."""
     rows = np.flatnonzero(more)
     rows = rows[np.argsort(priority[rows])][: count - np.count_nonzero(selected)]
     return np.sort(np.concatenate([np.flatnonzero(selected), rows]))
@@ -200,9 +201,9 @@ def _select_maximal(pairs: Pairs, selected: npt.NDArray[np.bool_]) -> None:
 def pairs_of_about(
     count: int, points: npt.NDArray[np.floating], pairs_within: Callable[[float], Pairs]
 ) -> tuple[Pairs, float]:
-    """Searches pairs within a radius at which the median point has about ``count`` neighbours; returns both.
+    """Returns the pairs within a radius at which the median point has about ``count`` neighbours, and the radius.
 
-    On a surface the number of neighbours grows with the square of the radius, which corrects the first guess.
+    On a surface the number of neighbours grows with the square of the radius; this rule corrects the first guess.
 
     Args:
         count: Wanted number of neighbours of a point.

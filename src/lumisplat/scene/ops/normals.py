@@ -1,7 +1,7 @@
 """Normals: outward normals of Gaussians (docs/method/relighting.md#normals), and smooth normals of meshes.
 
-The normal of a Gaussian is its shortest axis. Its outward side is found on a voxel grid, from the free space connected
-to the outside. Normals of meshes are smooth across blunt edges and broken at sharp ones.
+The normal of a Gaussian is its shortest axis. The axis is turned outwards on a voxel grid: outwards is where the free
+space connected to the outside lies. Normals of meshes are smooth across blunt edges and broken at sharp ones.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ NORMAL_NEIGHBOURS = 24
 """Wanted median number of neighbours from which a Gaussian's tangent plane is fitted: over two rings on a surface."""
 
 NORMAL_NEIGHBOURS_PER_CELL = 16
-"""Largest number of Gaussians per cube, of the search radius as side, that may be neighbours of others: twice as many
-as a surface has there. In dense clusters every Gaussian would otherwise be paired with every other."""
+"""Largest number of Gaussians in a cube that can be neighbours of other Gaussians, twice as many as a surface has
+there. The cube's side is the search radius. Without the limit, every Gaussian of a dense cluster would be paired with
+every other."""
 
 NORMAL_NEIGHBOURS_MIN = 4
 """Smallest number of neighbours from which a Gaussian's tangent plane is fitted; with fewer, its shortest axis is
@@ -46,8 +47,8 @@ OUTSIDE_OPACITY_MIN = 0.1
 """Smallest opacity of Gaussians that are voxelised as solid: haze around an object must not enclose it."""
 
 OUTSIDE_REACH = 1.5
-"""Radius, in the Gaussian's scales, of the disc of voxels that a Gaussian makes solid: discs of neighbours on a
-surface touch at this radius."""
+"""Radius, in a Gaussian's scales, of the disc of voxels that the Gaussian makes solid: discs of neighbouring Gaussians
+on a surface touch at this radius."""
 
 OUTSIDE_STEPS_MAX = 12
 """Largest number of sample points from the centre to the rim of a disc that is voxelised. It bounds the time for a few
@@ -55,20 +56,21 @@ huge Gaussians, whose discs may then have holes.
 """
 
 OUTSIDE_CONNECTED = 0.25
-"""Weight, in the openness of a voxel, of being connected to the outside even around corners; the remaining weight is
-that of the fraction of directions in which the outside is visible."""
+"""Weight of connectivity in a voxel's openness: 1 if the voxel is connected to the outside, even around corners, else
+0. The remaining weight is on the fraction of directions in which the outside is visible."""
 
 OUTSIDE_CONTRAST = 0.1
-"""Difference in openness between the two sides of a Gaussian from which the more open side is outside: two or three of
-26 directions.
+"""Smallest difference in openness between the two sides of a Gaussian at which the more open side is taken as outside:
+two or three of 26 directions.
 """
 
 WELD_SHARE = 1e-6
-"""Side of the cells in which `smooth_normals` treats vertices as one point, relative to the mesh's diagonal: text
+"""Side, relative to the mesh's diagonal, of cells in which `smooth_normals` treats all vertices as one point: text
 files round to six digits."""
 
 _BORDER = 2
-"""Number of layers of free voxels around the Gaussians: they are outside, and the blur does not reach the grid's edge.
+"""Number of layers of free voxels around the Gaussians: these layers are outside, and keep the blur off the grid's
+edge.
 """
 
 
@@ -91,7 +93,7 @@ def _ranked_axes(gaussians: Gaussians) -> Doubles:
 
 
 class OpennessGrid(NamedTuple):
-    """Voxel grid of a capture that stores for each cell how open the way to the outside is, 0..1."""
+    """Voxel grid of a capture with the openness of each cell, 0..1: how open the way to the outside is."""
 
     openness: FloatArray
     """Openness of each cell: 0 is solid or enclosed, 1 sees the outside in all 26 directions; blurred by about a cell,
@@ -102,7 +104,7 @@ class OpennessGrid(NamedTuple):
     """Side of a cubic cell, scene units."""
 
     def at(self, points: Doubles) -> FloatArray:
-        """Returns the openness, 0..1, at N points, (N, 3), in object space; 1 outside the grid. The shape is (N,)."""
+        """Returns the openness, 0..1, shape (N,), at N object-space points, (N, 3); 1 outside the grid."""
         cells = np.floor((points - self.corner) / self.cell)
         inside = np.all((cells >= 0) & (cells < np.array(self.openness.shape)), axis=1)
         x, y, z = np.where(inside[:, None], cells, 0.0).astype(np.int64).T
@@ -138,7 +140,7 @@ def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> Floa
 
 
 def agreeing_signs(axes: Doubles) -> Doubles:
-    """Returns signs that turn M axes, (M, 3), to one side of the plane to which they are most nearly normal, (M,)."""
+    """Returns signs, (M,), that turn M axes, (M, 3), to one side of the plane most nearly perpendicular to them."""
     common = np.linalg.eigh(axes.T @ axes)[1][:, 2]
     common *= np.sign(common[np.abs(common).argmax()])
     return np.where(axes @ common < 0.0, -1.0, 1.0)
@@ -188,14 +190,17 @@ def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int
 
 
 def _bounds_without_strays(points: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns corners of a box around the points, at most half the extent of the central quantiles beyond these."""
+    """Returns corners of a box around the points less strays far outside the box of central quantiles.
+
+    Each side exceeds the central quantiles by at most half their extent.
+    """
     low, high = np.quantile(points, [OUTLIER_SHARE, 1.0 - OUTLIER_SHARE], axis=0)
     margin = 0.5 * (high - low)
     return np.maximum(points.min(axis=0), low - margin), np.minimum(points.max(axis=0), high + margin)
 
 
 def _open_directions(free: Flags) -> FloatArray:
-    """Returns per cell the fraction of the 26 directions to neighbours in which no cell up to the edge is solid.
+    """Returns per cell the fraction of the 26 directions along which all cells up to the grid's edge are free.
 
     For each direction, the grid is swept slice by slice: a cell is open if it is free and the next cell in that
     direction is open.
@@ -240,8 +245,8 @@ def _blur(values: FloatArray, axis: int) -> FloatArray:
 def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = NormalEstimate.AUTO) -> FloatArray:
     """Estimates unit outward normals of an object captured from outside.
 
-    First an axis is found for each Gaussian; then the direction of the axis that points to the free space connected to
-    the outside is chosen (see `_outward_signs`). For a room captured from within, outside is behind its walls.
+    First an axis is found for each Gaussian. Of the axis's two directions, the one is chosen that points to the free
+    space connected to the outside (see `_outward_signs`). For a room captured from within, outside is behind its walls.
 
     Args:
         gaussians: N Gaussians; more opaque ones have more weight.
@@ -295,9 +300,10 @@ def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
 
 
 def _pairs_within(means: FloatArray, radius: float) -> Pairs:
-    """Pairs each Gaussian (``first``) with near ones (``second``) within ``radius``, of which each cube offers a few.
+    """Pairs each Gaussian (``first``) with Gaussians within ``radius`` (``second``), though not with all of them.
 
-    Each cube with the radius as side offers its first `NORMAL_NEIGHBOURS_PER_CELL` Gaussians.
+    Space is divided into cubes of side ``radius``. Only the first `NORMAL_NEIGHBOURS_PER_CELL` Gaussians of a cube can
+    be ``second``.
     """
     _, cells = np.unique(np.floor(means / radius).astype(np.int64), axis=0, return_inverse=True)
     order = np.argsort(cells.ravel(), kind="stable")
@@ -309,7 +315,7 @@ def _pairs_within(means: FloatArray, radius: float) -> Pairs:
 
 
 def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
-    """Returns the mesh with new normals: a corner averages the faces around it that differ by up to an angle.
+    """Returns the mesh with new normals. A corner averages its face with adjacent faces up to ``crease_angle`` apart.
 
     Faces are weighted by their angle at the corner (Thuermer and Wuethrich 1998), so that the triangulation does not
     matter; corners at the same position count as one, whatever their uvs. A vertex is split where its corners get

@@ -42,12 +42,12 @@ class SurfacePoints(NamedTuple):
     """Barycentric coordinates of each point in its triangle, shape (M, 3)."""
 
     def at(self, rows: npt.NDArray[np.integer]) -> SurfacePoints:
-        """Returns those of the points that the indices ``rows`` select, in this order."""
+        """Returns the points that the indices ``rows`` select, in the order of ``rows``."""
         return SurfacePoints(self.positions[rows], self.faces[rows], self.weights[rows])
 
 
 def face_areas_and_normals(mesh: Mesh) -> tuple[Doubles, Doubles]:
-    """Returns the areas of F triangles, shape (F,), and unit normals (0 for a triangle without area), shape (F, 3)."""
+    """Returns the areas, (F,), and unit normals, (F, 3), of F triangles; a triangle without area has normal 0."""
     vectors = area_vectors(mesh.positions, mesh.indices)
     doubled = np.linalg.norm(vectors, axis=1)
     normals = np.divide(vectors, doubled[:, None], out=np.zeros_like(vectors), where=doubled[:, None] > 0.0)
@@ -60,9 +60,9 @@ def surface_area(mesh: Mesh) -> float:
 
 
 def default_count(meshes: Sequence[Mesh]) -> int:
-    """Returns the number of Gaussians that are 1/300 of the diagonal of all meshes' bounding box apart.
+    """Returns the number of Gaussians with a spacing of 1/300 of the diagonal of the box around all meshes.
 
-    It is limited to `SAMPLING_DEFAULT_COUNTS`.
+    The number is limited to `SAMPLING_DEFAULT_COUNTS`.
     """
     corners = [mesh.positions[mesh.indices].reshape(-1, 3).astype(np.float64) for mesh in meshes]
     highest, lowest = (np.array([extreme(c, axis=0) for c in corners]) for extreme in (np.max, np.min))
@@ -72,7 +72,7 @@ def default_count(meshes: Sequence[Mesh]) -> int:
 
 
 def stratified_points(mesh: Mesh, areas: Doubles, count: int, rng: np.random.Generator) -> SurfacePoints:
-    """Samples ``count`` points on a mesh, spread by triangle area, with the R2 sequence (Roberts 2018) in each."""
+    """Samples ``count`` points on a mesh, spread over triangles by area, in each by the R2 sequence (Roberts 2018)."""
     cumulative = np.cumsum(areas)
     strata: Doubles = (np.arange(count) + rng.random(count)) * (cumulative[-1] / count)
     faces = np.minimum(np.searchsorted(cumulative, strata, side="right"), np.flatnonzero(areas)[-1])
@@ -137,7 +137,7 @@ def crease_points(mesh: Mesh, face_normals: npt.NDArray[np.floating], spacing: f
 
 
 def welded_indices(mesh: Mesh) -> IntArray:
-    """Returns the triangles, shape (F, 3), after joining vertices at equal positions that normals or uvs split."""
+    """Returns the triangles, shape (F, 3), with vertices joined that differ in normals or uvs but not in position."""
     _, unique_from_vertex = np.unique(mesh.positions, axis=0, return_inverse=True)
     return unique_from_vertex.reshape(-1).astype(np.int32)[mesh.indices]
 
@@ -184,7 +184,7 @@ def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Fl
 
 
 def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) -> _Floats:
-    """Returns the mip level of each of F faces at which a texel is ``width`` wide on average over u and v, (F,)."""
+    """Returns the mip level for each of F faces, (F,): the one whose texels are ``width`` wide, mean over u and v."""
     area = np.linalg.norm(area_vectors(mesh.positions, mesh.indices), axis=1)
     p, q, r = uvs.astype(np.float64)[mesh.indices].swapaxes(0, 1)
     uv_area = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
@@ -193,7 +193,7 @@ def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) ->
 
 
 def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats, wraps: WrapPair) -> _Floats:
-    """Looks a texture up trilinearly at M points; returns linear Rec.709, shape (M, 3); level 0: full resolution."""
+    """Looks a texture up trilinearly at M points and mip levels (0: full size); returns linear Rec.709, (M, 3)."""
     image = decode_srgb(np.arange(256) / 255.0).astype(np.float32)[texture[..., :3]]
     colors, step = np.zeros((uvs.shape[0], 3)), 0
     while True:
@@ -220,7 +220,7 @@ def _bilinear(image: _Floats, uvs: _Floats, wraps: WrapPair) -> _Floats:
 
 
 def _neighbour(texels: _Ints, size: int, wrap: TextureWrap) -> _Ints:
-    """Maps texel indices one step beyond an edge: REPEAT to the other edge, other modes back to the same edge."""
+    """Maps texel indices one step outside the image: REPEAT to the opposite edge, other modes to the nearest edge."""
     return texels % size if wrap is TextureWrap.REPEAT else np.clip(texels, 0, size - 1)
 
 
@@ -234,7 +234,10 @@ def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
 
 
 def _halve(image: _Floats, axis: int) -> _Floats:
-    """Halves the rows (axis 0) or columns (axis 1) of an image, odd or even, to at least one, by area averages."""
+    """Halves the rows (axis 0) or columns (axis 1) of an image by area averages; one row or column stays.
+
+    An odd number is rounded down.
+    """
     size = int(image.shape[axis])
     half = max(size // 2, 1)
     image = np.moveaxis(image, axis, 0)

@@ -20,54 +20,57 @@ from lumisplat.scene.placing import Vector, front_vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
 
 FRAMING_FARTHEST = 1e17
-"""Largest coordinate, scene units, of a scene for which a camera is chosen automatically: camera positions are limited
-to 1e18."""
+"""Largest coordinate, in scene units, up to which a camera is chosen automatically for a scene: camera positions are
+limited to 1e18."""
 
 _FRAMING_FOV_Y = 0.8
 """Vertical field of view, radians, of an automatic camera if no first view gives one: that of a normal lens."""
 
 _FRAMING_ELEVATION = 0.2
-"""Elevation, radians, of an automatic camera's eye above the horizon if no first view gives one: it shows the ground
-below an object."""
+"""Elevation, radians, of an automatic camera's eye above the horizon if no first view gives one: from there the camera
+shows the ground below an object."""
 
 _STEEP = 0.1
-"""Cosine of a first view's elevation below which it looks so steeply that the image's up direction gives its azimuth.
+"""Cosine of a first view's elevation below which the view counts as steep; the azimuth of a steep view is that of the
+image's up direction.
 """
 
 _GAPS = 50
-"""Gaussians outside a capture's bulk count as connected to it across gaps of up to the bulk's largest side over this.
-"""
+"""Gaussians outside a capture's bulk count as connected to the bulk across gaps of up to its largest side over this."""
 _OPACITY_MIN = 0.1
 """Smallest opacity of a Gaussian outside a capture's bulk that may extend the visible bounds."""
 _ENDS_MOST = 4.0
-"""Distance from a capture's bulk, in its largest side, beyond which Gaussians never extend the visible bounds."""
+"""Distance from a capture's bulk, in units of the bulk's largest side, beyond which Gaussians never extend the visible
+bounds."""
 
 _FRAMING_MARGIN = 1.05
-"""Distance of an automatic camera over the distance at which the scene's box just fits the image."""
+"""Ratio of an automatic camera's distance to the distance at which the scene's box just fits the image."""
 
 _ROLL, _PITCH = 0.1, 0.35
-"""Assumed standard deviations, radians, with which people roll (`_ROLL`) and pitch (`_PITCH`) a camera they hold."""
+"""Standard deviations, radians, assumed for the roll (`_ROLL`) and the pitch (`_PITCH`) of a camera held by a person.
+"""
 _AGREE = 0.3
-"""Smallest length of the mean of the cameras' unit up vectors at which the cameras agree on an up direction."""
+"""Cameras agree on an up direction if the mean of their unit up vectors is at least this long."""
 _ALL_DOWN = 0.9
-"""Length of the mean of all unit view directions above which all cameras look the same way, as from an aircraft."""
+"""All cameras look the same way, as from an aircraft, if the mean of their unit view directions is longer than this."""
 _CONVERGE = 0.35
-"""The cameras' axes converge if the median tangent of the angle between an axis and the direction to the point nearest
-to all axes is below this."""
+"""The cameras' axes converge if a median tangent is below this. The median is over the angles between a camera's axis
+and the direction from the camera to the point nearest to all axes."""
 _MIDDLE = 0.3
-"""Fraction of the image's height, around its centre, in which Gaussians' depths give the median depth of the subject.
+"""Side of a square around the image's centre, as a fraction of the image's height. The subject's depth is the median
+depth of the Gaussians inside this square.
 """
 _COUNT = 2000
 """Largest number of cameras among which the first view is chosen; of more cameras, every n-th is considered."""
 _WIDEST = 2.0
-"""Largest vertical field of view, radians, of the first view that is chosen among cameras; wider ones are narrowed to
-it."""
+"""Largest vertical field of view, radians, of the first view chosen among cameras; a wider view is narrowed to this."""
 
 
 def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
     """Returns origins and unit directions of the rays through the pixel centres, world space, shape (H, W, 3) each.
 
-    Pixels of a fisheye without a ray have direction 0. With a rolling shutter, each row has its own pose.
+    Pixels without a ray, at the edge of a fisheye or distorted image, have direction 0. With a rolling shutter, each
+    row has its own pose.
     """
     (width, height), (left, top) = camera.image_size, camera.image_corner
     rotation, directions = camera.world_from_camera[:3, :3], camera.ray_directions()
@@ -104,7 +107,7 @@ def pixel_ray(camera: Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
 
 
 def _camera_around(camera: Camera, x: int, y: int) -> Camera:
-    """Returns the camera with the window of 16 x 16 pixels, less at the image's edge, that contains pixel (x, y)."""
+    """Returns the camera with a window that contains pixel (x, y): 16 x 16 pixels, or fewer at the image's edge."""
     left, top = (side // WINDOW_STEP * WINDOW_STEP for side in (x, y))
     window = left, top, min(WINDOW_STEP, camera.width - left), min(WINDOW_STEP, camera.height - top)
     return replace(camera, window=window)
@@ -160,8 +163,9 @@ def frame_camera(
 
     Args:
         scene: Scene to look at. Its `Scene.up_direction` is up in the image.
-        azimuth: Angle about the vertical, radians, counter-clockwise seen from above, -2 pi to 2 pi: 0, the default, is
-            the side of the first view, else the front; pi / 2 is the right-hand side as seen from there.
+        azimuth: Angle about the vertical, radians, counter-clockwise seen from above, -2 pi to 2 pi. 0, the default, is
+            the side from which the first view looks, or the front without a first view; pi / 2 is the side to the right
+            of a viewer at azimuth 0.
         elevation: Angle above the horizon, radians, -pi / 2 to pi / 2; pi / 2 looks straight down; None: that of the
             first view, else 0.2.
         distance: Distance from the eye to ``target``, scene units; None: that of the first view, else the distance at
@@ -173,8 +177,8 @@ def frame_camera(
         width: Image width, pixels.
         height: Image height, pixels.
         name: Name of the camera.
-        all_around: Without ``distance``, choose a distance at which the visible scene fits the image from all sides,
-            for an orbit; a first view's distance takes precedence.
+        all_around: Choose a distance at which the visible scene fits the image from all sides, for an orbit. A given
+            ``distance`` and the distance of a first view take precedence.
 
     Raises:
         SceneError: The scene is empty, or an argument is out of its range.
@@ -223,7 +227,7 @@ def _angles(scene: Scene, view: Camera) -> tuple[float, float]:
 
 
 def _fov_of(view: Camera, aspect: float) -> float:
-    """Returns the vertical field of view at which an image with ratio ``aspect`` shows all that ``view`` shows."""
+    """Returns the vertical field of view with which an image of ``aspect`` (width / height) shows all of ``view``."""
     tangent = math.tan(0.5 * view.fov_y)
     return 2.0 * math.atan(tangent * max(1.0, view.width / view.height / aspect))
 
@@ -260,7 +264,7 @@ def _target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
 def visible_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
     """Returns the corners (min, max) of a world-space box around the visible scene, shape (3,) each.
 
-    `Scene.bulk_bounds`, which leaves out 2 % of opacity at each end, cuts off thin ends that are visible. The box
+    `Scene.bulk_bounds` leaves out 2 % of opacity at each end, and thus cuts off thin ends that are visible. The box
     therefore grows over all Gaussians that connect to the bulk's box without gaps; stray Gaussians stay outside.
 
     Raises:
@@ -273,7 +277,7 @@ def visible_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
 
 
 def _thin_ends(instance: SplatInstance, low: Doubles, high: Doubles) -> Doubles:
-    """Returns the M means outside the box (low, high) that connect to it without gaps, world space, (M, 3)."""
+    """Returns the M means outside the box (low, high) that connect to the box without gaps, world space, (M, 3)."""
     means, gaussians = instance.world_means, instance.gaussians
     gap = max(float((high - low).max()) / _GAPS, 4.0 * instance.scale * float(np.median(gaussians.scales.max(axis=1))))
     reach = _ENDS_MOST * (high - low).max()
@@ -306,7 +310,7 @@ def _fitting_distance(
     Args:
         scene: Scene.
         center: World position in the centre of the image.
-        sides: For each view that must fit, the direction to the eye and up, as `_side` returns them.
+        sides: Unit direction to the eye and up direction of each view that must fit, as `_side` returns them.
         lens: Vertical field of view, and ratio of width to height of the image.
     """
     fov_y, aspect = lens
@@ -343,7 +347,7 @@ def orbit_cameras(
 ) -> list[Camera]:
     """Returns cameras evenly spread on a circle about the vertical through a point.
 
-    A full revolution ends one step before the first camera, so that the frames loop as a video.
+    The last camera of a full revolution is one step before the first camera, so that the frames loop as a video.
 
     Args:
         scene: Scene to orbit; its `Scene.up_direction` is the axis.
@@ -351,8 +355,8 @@ def orbit_cameras(
         camera: First camera; None: a view from the front, at a distance from which the scene fits all the way round,
             see `frame_camera`.
         turns: Number of revolutions, counter-clockwise seen from above; negative: clockwise.
-        target: World position on the axis, shape (3,); None: the centre of the visible scene, or the point at which its
-            first view looks.
+        target: World position on the axis, shape (3,); None: the point at which the scene's first view looks, or the
+            centre of the visible scene without a first view.
 
     Returns:
         ``count`` cameras, which differ in pose and name; the target is at the same pixel in each.
@@ -388,9 +392,10 @@ def up_of_cameras(cameras: Sequence[Camera]) -> Vector | None:
     """Estimates the up direction of a scene from its cameras, assuming that people held them.
 
     The start is the mean of the cameras' up vectors, as in nerfstudio's auto-orient. This mean leans if all cameras
-    look down, whereas the x axis of a level camera stays horizontal. Least squares combine both, weighted by how much
-    people roll and pitch cameras. A camera held sideways counts with the side of its image that was up. If up vectors
-    cancel and all cameras look the same way, as from an aircraft, up is opposite to the view direction.
+    look down, whereas the x axis of a level camera stays horizontal. Least squares combine up vectors and x axes,
+    weighted by how much people roll and pitch cameras. For a camera held sideways, up is the side of its image that was
+    up. If up vectors cancel and all cameras look the same way, as from an aircraft, up is opposite to the view
+    direction.
 
     Args:
         cameras: At least one camera.
@@ -416,9 +421,10 @@ def up_of_cameras(cameras: Sequence[Camera]) -> Vector | None:
 
 
 def first_view_of(cameras: Sequence[Camera], means: npt.NDArray[np.floating]) -> Camera:
-    """Returns the camera nearest to all others in position and view direction, focused on its subject.
+    """Returns a copy, focused on its subject, of the camera nearest to all others in position and view direction.
 
-    The subject is where the axes of all cameras converge, or else lies at the median depth in the centre of the image.
+    The subject is the point where the axes of all cameras converge. If the axes do not converge, it is the point in the
+    image's centre at the median depth of the Gaussians there.
 
     Args:
         cameras: At least one camera.
@@ -444,7 +450,7 @@ def first_view_of(cameras: Sequence[Camera], means: npt.NDArray[np.floating]) ->
 
 
 def _distance_to_convergence(camera: Camera, eyes: Doubles, axes: Doubles) -> float | None:
-    """Returns the view depth, for one camera, of the point nearest to all cameras' axes; None if they do not converge.
+    """Returns one camera's view depth of the point nearest to all cameras' axes; None if the axes do not converge.
 
     Args:
         camera: The camera.
@@ -465,7 +471,7 @@ def _distance_to_convergence(camera: Camera, eyes: Doubles, axes: Doubles) -> fl
 
 
 def _median_depth(camera: Camera, means: npt.NDArray[np.floating]) -> float:
-    """Returns the median view depth of Gaussians in the image's centre, or if there are none, of all before the eye."""
+    """Returns the median view depth of the Gaussians in the image's centre, or else of all Gaussians before the eye."""
     points = means @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     x, y, z = points.T.astype(np.float64)
     before = z > camera.near
