@@ -71,7 +71,7 @@ def render_samples(
 
 
 def merge_samples(renderer: Renderer, scene: Scene, camera: Camera, parts: Iterable[SamplePart]) -> Frame:
-    """Merges all samples of a frame into the frame. Its bits do not depend on which processes rendered which parts.
+    """Merges all samples of a frame into the frame, whose bits do not depend on which process rendered which part.
 
     The frame nearly equals the one from `lumisplat.Renderer.render`, which sums all samples without blocks: some pixels
     differ by rounding.

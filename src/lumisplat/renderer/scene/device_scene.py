@@ -182,10 +182,10 @@ class DeviceScene:
             self._synced = self.graph_key
 
     def take_assets(self, other: DeviceScene) -> None:
-        """Takes over another device scene's assets, and its BVHs unless the kernel response that they bound differs.
+        """Takes over another device scene's assets; also its BVHs, if both scenes have one kernel response.
 
         Args:
-            other: A device scene of the same launcher, which is not used any more.
+            other: A device scene of the same launcher; it must not be used any more.
         """
         self._structure, self._layout, self.version = other._structure, other._layout, other.version
         self._meshes, self._mesh_bvh, self.assets = other._meshes, other._mesh_bvh, other.assets

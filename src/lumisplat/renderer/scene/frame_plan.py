@@ -46,7 +46,8 @@ because each ray crosses Gaussians.
 """
 
 METAL_MIN = 0.5
-"""Value of ``metallic`` from which a rough material counts as metal, so that it gets reflections and is not black."""
+"""A rough material counts as metal if its ``metallic`` is at least this value. It then gets reflections, without which
+it would be black."""
 
 AMBIENT_RAYS_OF_FRAMES = 2
 """Ambient shadow rays per frame and pixel on shadow catchers in real time. Few are enough, because frames are
@@ -84,9 +85,9 @@ class SplatShadows:
     """Surfaces on which splat sets may cast shadows: reflecting surfaces, shadow catchers, both or none."""
 
     on_reflecting: bool
-    """True if splat sets cast shadows on surfaces that reflect light. All splat sets cast such shadows."""
+    """True if splat sets cast shadows on surfaces that reflect light; all splat sets then do."""
     on_shadow_catchers: bool
-    """True if splat sets cast shadows on shadow catchers; only sets that are not shadow catchers themselves do so."""
+    """True if splat sets cast shadows on shadow catchers; splat sets that are shadow catchers themselves do not."""
 
     @classmethod
     def of(cls, scene: Scene) -> SplatShadows:
@@ -122,7 +123,7 @@ class FramePlan:
     """True if some light reaches a reflecting surface without a shadow test: the light or the whole frame casts no
     shadows, or the light is the headlight."""
     casts_shadows: bool
-    """True if shadow rays are traced: some light casts shadows, and some object can block it."""
+    """True if shadow rays are traced: some light casts shadows, and some object can block that light."""
     splat_shadows: SplatShadows
     """Surfaces (reflecting surfaces, shadow catchers) on which splat sets may cast shadows."""
     is_sampled: bool
@@ -140,7 +141,7 @@ class FramePlan:
     """True if samples of meshes, but not of Gaussians, are jittered within their pixel: the default if the scene has
     emissive captures."""
     samples_wanted: int
-    """Number of samples per pixel from which on the frame's randomly sampled lights show no visible noise."""
+    """Smallest number of samples per pixel at which the frame's randomly sampled lights show no visible noise."""
     noise_sources: tuple[str, ...]
     """Descriptions of the lights that are sampled in random directions, and are noisy with too few samples."""
     has_lobes: bool
@@ -161,8 +162,8 @@ class FramePlan:
     has_rough_glass: bool
     """True if paths scatter through rough transmissive surfaces."""
     has_shadow_catchers: bool
-    """True if some splat set of a lit frame that is not path-traced is a shadow catcher: shadows darken its captured
-    colours."""
+    """True if some splat set is a shadow catcher and the frame is lit and not path-traced; shadows then darken the
+    set's captured colours."""
     ambient_rays: int
     """Number of ambient shadow rays per sample from each visible shadow catcher, in random directions; 0 without
     ambient light."""
@@ -211,11 +212,11 @@ class FramePlan:
 
     @property
     def draws_alpha(self) -> bool:
-        """True if a translucent mesh is hit at random, with probability alpha: in paths, and with direct light only.
+        """True if rays hit a translucent mesh at random, with probability alpha: in paths, and with direct light only.
 
-        Frames with direct light only (``Pipeline.RASTER``) trace no rays behind the mesh that a pixel shows. False:
-        Whitted rays add the mesh with weight alpha and continue behind it. Meshes that enclose a medium (glass) are
-        always hit, so that a ray that enters them also leaves them.
+        Frames with direct light only (``Pipeline.RASTER``) trace no rays behind the mesh that a pixel shows. If False,
+        Whitted rays add the mesh with weight alpha and continue behind the mesh. Meshes that enclose a medium (glass)
+        are always hit, so that a ray that enters them also leaves them.
         """
         return self.traces_paths or self.integrator is Integrator.DIRECT
 
@@ -352,7 +353,7 @@ def adds_to_captures(scene: Scene) -> bool:
 
 
 def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> int:
-    """Returns the number of ambient shadow rays per sample from shadow catchers; 0 if they receive no ambient light.
+    """Returns the number of ambient shadow rays per sample from shadow catchers; 0 without ambient light.
 
     Real-time frames: 2. Frames that have one sample by default: 16, because one random ray would be noisy. Others: 1.
     """
@@ -372,8 +373,8 @@ def is_visible(light: Light) -> bool:
 def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lobes: bool) -> int:
     """Returns the largest number of bounces: of paths in lit path-traced frames, else of rays off smooth surfaces.
 
-    Without smooth surfaces, the latter is 1 if rough surfaces send a ray into their specular lobe (``has_lobes``), else
-    0.
+    If a frame has neither paths nor smooth surfaces, the number is 1 if rough surfaces send a ray into their specular
+    lobe (``has_lobes``), else 0.
     """
     if config.pipeline.traces_paths and is_lit:
         return PATH_BOUNCES if config.max_bounces is None else config.max_bounces
@@ -418,17 +419,19 @@ def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
 
 
 def draws_captured_light(aovs: Collection[str], scene: Scene) -> bool:
-    """Returns whether each sample takes an environment rendered from captures from many directions, without noise.
+    """Returns whether each sample covers many directions of an environment rendered from captures, without noise.
 
-    False with the layers of single lights (``lights`` in ``aovs``), whose passes sample one direction at a time.
+    False with the layers of single lights (``lights`` in ``aovs``), because their passes sample one direction at a
+    time.
     """
     return "lights" not in aovs and any(isinstance(light, CapturedLight) for light in scene.lights)
 
 
 def environment_draws(plan: FramePlan, scene: Scene) -> int:
-    """Returns in how many directions per surface point and sample an environment without shadows is sampled.
+    """Returns the number of directions, per surface point and sample, in which an unshadowed environment is sampled.
 
-    It is 1, except for an environment rendered from captures: `CAPTURED_LIGHT_DRAWS` divided by the number of samples.
+    For an environment rendered from captures, the number is `CAPTURED_LIGHT_DRAWS` divided by the number of samples.
+    For other environments it is 1.
     """
     return math.ceil(CAPTURED_LIGHT_DRAWS / plan.samples) if draws_captured_light(plan.aovs, scene) else 1
 

@@ -83,7 +83,8 @@ def splat_instance_table(
 def hit_distance_of(instance: SplatInstance, config: RenderConfig, *, is_lit: bool) -> int:
     """Returns at which point rays hit the Gaussians of an instance: HIT_PEAK, HIT_HULL or HIT_MEAN.
 
-    If the settings do not choose: HIT_MEAN, the order of training, and in lit frames HIT_PEAK for relit sets.
+    The settings may choose. If they do not, relit sets in lit frames have HIT_PEAK. All others have HIT_MEAN, because
+    training orders Gaussians by their means.
     """
     if config.trace.hit_distance is not None:
         return _HIT_DISTANCES[config.trace.hit_distance]
@@ -98,7 +99,7 @@ def is_antialiased(gaussians: Gaussians, antialiasing: Antialiasing) -> bool:
 def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
     """Returns the standard deviation, in pixel widths, by which rays widen a set's Gaussians (``dilation``).
 
-    It is 0 for Gaussians that count as antialiased, whose opacities were compensated in training.
+    The deviation is 0 for Gaussians that count as antialiased, because training compensated their opacities.
     """
     return 0.0 if is_antialiased(gaussians, config.trace.antialiasing) else float(np.sqrt(config.trace.dilation))
 

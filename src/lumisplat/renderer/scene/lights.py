@@ -213,9 +213,10 @@ def environment_cdfs(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
 
 
 def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Returns half the mean of a linearly interpolated image over each texel along the first axis, padded by one.
+    """Returns, for each texel, half the mean of an image that is linearly interpolated along its first axis.
 
-    The mean is 3/4 of the texel's value plus 1/8 of each neighbour's. Halving avoids overflow of float32 sums.
+    ``padded`` has one more texel at both ends of that axis. The mean is 3/4 of the texel's value plus 1/8 of each
+    neighbour's. Halving avoids overflow of float32 sums.
     """
     parts = padded * np.float32(1.0 / 16.0)
     return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
@@ -246,8 +247,8 @@ def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
 _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Barycentric coordinates of the four points of a triangle at which an emissive texture is averaged."""
 _DARK_FRACTION = 0.05
-"""Lowest luminance with which a triangle with an emissive texture is sampled, as a fraction of that of the mesh's
-brightest triangle, because a few texels may miss bright spots."""
+"""Lowest luminance assumed when a triangle with an emissive texture is sampled, as a fraction of the luminance of the
+mesh's brightest triangle. The few texels that are read may miss bright spots."""
 
 
 class Emitters:

@@ -44,7 +44,7 @@ def emits_capture_only(instance: SplatInstance) -> bool:
 
 
 def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
-    """Returns the ambient light on a shadow catcher, by channel: radiance that it reflects, divided by its albedo.
+    """Returns the ambient light on a shadow catcher, by channel: the catcher's reflected radiance over its albedo.
 
     A catcher without a material gets a default if the scene has lights but no environment, because an environment is
     already ambient light. In scenes without lights the result is 0: paths light catchers by captures alone.
@@ -65,7 +65,7 @@ def is_relit(instance: SplatInstance) -> bool:
 
 
 def is_medium(instance: MeshInstance, *, traces_paths: bool) -> bool:
-    """Returns whether rays refract into a mesh of solid transmissive material; if it is rough, only paths do."""
+    """Returns whether rays refract into a mesh of solid transmissive material; into a rough one, only paths do."""
     material = instance.mesh.material
     return (material.is_smooth or traces_paths) and isinstance(material, MaterialPbr) and material.is_solid
 

@@ -25,8 +25,8 @@ from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 OUTDATED_HISTORY_WEIGHT = 1e-4
-"""Factor on the weight of cached lighting in the frame in which a light appears or disappears: new samples replace the
-cached lighting at once, but where there are none yet, it is still shown."""
+"""Factor on the weight of cached lighting in a frame in which a light appears or disappears. New samples then replace
+the cached lighting at once. Where there are no new samples yet, the cached lighting is still shown."""
 
 CHANGED_HISTORY_WEIGHT = 0.7
 """Factor on the weight of cached lighting in each of the `CHANGED_FRAMES` frames after lights move or change a little;
@@ -244,7 +244,7 @@ class LightChanges:
 
         The factor is nearly 0 if a light appears, disappears or abruptly changes its strength. After any other change
         of lights, cached lighting fades over several frames. After objects move, cached lighting fades more slowly,
-        because their shadows and reflections are only a part of the light.
+        because shadows and reflections of objects are only a part of the light.
 
         Args:
             scene: Scene of the frame.

@@ -61,12 +61,12 @@ class ShadingTables:
 
     @property
     def choice_count(self) -> int:
-        """Number of lights that paths and real-time frames choose from; all emissive triangles together are one."""
+        """Number of lights that paths and real-time frames choose from; all emissive triangles together count once."""
         return self._table.count + self.has_emitters
 
     @property
     def graph_key(self) -> object:
-        """Values of the lights on which the launches of a frame depend; a CUDA graph recorded with others is stale."""
+        """Values of the lights that determine a frame's launches; a CUDA graph recorded with other values is stale."""
         return self.has_headlight, [(isinstance(light, LightEnvironment), light.casts_shadow) for light in self.lights]
 
     def sync(

@@ -77,7 +77,7 @@ class RayAbsorption:
     floor: float
     """Transmittance at or below which the ray counts as blocked, so that its traversal ends."""
     tint: wp.vec3
-    """Sum over the Gaussians hit so far of linear colour times alpha, by which coloured shadows are tinted."""
+    """Linear colour times alpha, summed over the Gaussians hit so far; the sum tints coloured shadows."""
 
 
 @functools.cache

@@ -31,7 +31,8 @@ from lumisplat.device.structs.scene import ALPHA_OPAQUE
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 4})
 
 EDGE_WEIGHT_MAX = 1e-5
-"""Largest barycentric weight, more than any rounding error, at which a ray through glass may lie on a triangle's edge.
+"""A ray through glass may lie on a triangle's edge if a barycentric weight of its hit is below this value. The value
+is larger than any rounding error of a weight.
 """
 
 EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
@@ -57,11 +58,11 @@ class MeshPassage:
     light: wp.vec3
     """Transmittance of the triangles so far, linear, per channel."""
     inside: float
-    """Sum of the distances at which the shadow ray has left the mesh, minus those at which it has entered.
-    ``length_inside`` turns it into the length inside."""
+    """Sum of the distances at which the shadow ray has left the mesh, minus the distances at which the ray has
+    entered. ``length_inside`` computes the length inside from this sum."""
     entries: int
     """Number of times that the shadow ray has entered the mesh, minus the number of times that it has left; if
-    positive, it ends inside at ``t_max``."""
+    positive, the ray ends inside the mesh at ``t_max``."""
 
 
 @wp.func
@@ -188,10 +189,10 @@ def shadow_by_meshes(
 ):
     """Per shadow ray: writes the transmittance of all meshes between its origin and ``t_max``.
 
-    Glass blocks a ray if its ``opaque`` is True; with an empty ``opaque``, glass blocks no ray. ``media`` are the media
-    around the origins; if empty, all origins are in air. ``limit_out`` is the distance up to which Gaussians may block
-    what light remains. It is 0 if none remains and, with ``meshes_only``, for rays that pass through shadow catchers
-    (``skips``), which only meshes block then.
+    Glass blocks a ray if the ray's ``opaque`` is True; with an empty ``opaque``, glass blocks no ray. ``media`` are the
+    media around the origins; if empty, all origins are in air. ``limit_out`` is the distance up to which Gaussians may
+    block the light that remains. It is 0 if no light remains. With ``meshes_only``, it is also 0 for rays with
+    ``skips``, which pass through shadow catchers; only meshes can then block these rays.
     """
     i = start + wp.tid()
     t_max = rays.t_max[i]

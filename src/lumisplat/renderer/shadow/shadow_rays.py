@@ -29,12 +29,13 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
-"""Number of shadow rays per Gaussian in one stochastic sample, counting inactive rays, above which the sample's BVHs
-are shrunk to the parts of Gaussians that block light. In a capture that is all surface, shrinking takes as much time as
-one ray per Gaussian saves by it; if rays cross many Gaussians, it pays off far earlier."""
+"""The BVHs of a stochastic sample are shrunk to the parts of Gaussians that block light if the sample has more shadow
+rays per Gaussian than this, counting inactive rays. In a capture that is all surface, shrinking pays off from one ray
+per Gaussian on; if rays cross many Gaussians, it pays off far earlier."""
 
 SHRINK_INSTANCES_MAX = 8
-"""Largest number of instances of an asset whose BVH is shrunk, because the shrunk BVH must be valid for all instances.
+"""The BVH of an asset is shrunk only if the asset has at most this many instances, because the shrunk BVH must be
+valid for all of them.
 """
 
 
@@ -190,7 +191,7 @@ def shadow_table(config: RenderConfig) -> np.ndarray:
 
 
 class StochasticBvh:
-    """BVHs that are shrunk for one stochastic sample of shadows, whose rays share one random number per Gaussian.
+    """BVHs that are shrunk for one stochastic sample of shadows; its rays share one random number per Gaussian.
 
     In such a sample, each Gaussian is either absent or an opaque ellipsoid. The ellipsoid ends where alpha falls below
     the Gaussian's random number, mostly far inside the Gaussian's hull, so only a fraction of the rays hit its shrunk
@@ -200,8 +201,7 @@ class StochasticBvh:
     def __init__(self, launcher: Launcher, buffers: Buffers, name: str) -> None:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._whole: DeviceArray | None = None
-        """Table of the assets with their original BVHs, from which the shrunk ones were made; None: nothing was shrunk
-        yet."""
+        """Table of the assets with their original BVHs, before shrinking; None: nothing was shrunk yet."""
         self._assets: DeviceArray | None = None
         self._is_fresh = False
         self._rays = 0

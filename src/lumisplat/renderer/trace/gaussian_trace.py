@@ -84,8 +84,8 @@ class GaussianTracer:
             rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             limits: Distances at which rays end, such as those of the nearest meshes.
             name: Name of the buffers that hold the result.
-            bounced: Whether the rays start at surfaces. They then skip the Gaussians of that surface, as shadow rays
-                do.
+            bounced: Whether the rays start at surfaces. Each ray then skips the Gaussians of its surface, as shadow
+                rays do.
             sets: Splat sets that the rays can hit.
             profiles: ``HitProfiles`` that receive every single hit; None: hits are only blended.
             marked: The scene's splat instances with changed relit flags; radiance of flagged instances is accumulated

@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 @wp.kernel
 def find_mesh_hits(start: int, bounced: bool, scene: MeshBvh, rays: RayData, hits_out: MeshHits):
-    """Finds the nearest triangle between ``t_min`` and ``t_max``; ``bounced`` rays begin at their origin instead."""
+    """Finds the nearest triangle on each ray from ``t_min`` (if ``bounced``, from the origin) to ``t_max``."""
     i = start + wp.tid()
     t_min = wp.where(bounced, 0.0, rays.t_min[i])
     t_max = rays.t_max[i]

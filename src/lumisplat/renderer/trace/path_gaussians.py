@@ -20,13 +20,13 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class DarkenedCaptures(NamedTuple):
-    """Captures that are black to secondary rays, because the surfaces where the rays start sample them as lights."""
+    """Captures that appear black to secondary rays: surfaces that send the rays sample these captures as lights."""
 
     marked: DeviceArray
     """Copy of the scene's splat instances whose ``relit`` flag marks the captures to darken."""
     mirrored: wp.array[int] | None
-    """1 for each ray that a mirror reflected, to which the captures are visible, else 0; None: no ray is from a
-    mirror.
+    """1 for each ray that a mirror reflected, else 0. The captures are visible to the rays with 1. None: no ray is
+    from a mirror.
     """
 
 
@@ -76,8 +76,8 @@ class PathGaussians:
             rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             limits: Distances at which rays end, such as those of the nearest meshes.
             name: Name of the buffers that hold the result.
-            bounced: Whether the rays start at surfaces. They then skip the Gaussians of that surface, as shadow rays
-                do.
+            bounced: Whether the rays start at surfaces. Each ray then skips the Gaussians of its surface, as shadow
+                rays do.
             dark: Captures that appear black to the rays; None: none.
         """
         if not scene.plan.traces_paths or (self._is_blended_first and not bounced):
@@ -94,7 +94,7 @@ class PathGaussians:
     def find_emitted(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], marked: DeviceArray, name: str
     ) -> GaussianHits:
-        """Returns the radiance of emissive captures on secondary rays; that of flagged captures also separately.
+        """Returns the radiance of emissive captures on secondary rays; also separately for flagged captures.
 
         Rays end at relit surfaces, and where their transmittance falls to `EMITTER_OPAQUE`.
 

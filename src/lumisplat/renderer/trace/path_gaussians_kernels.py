@@ -13,14 +13,14 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def end_at_surfaces(start: int, limits: wp.array[float], surfaces: GaussianHits, ends_out: wp.array[float]):
-    """Writes each ray's end: the distance of the relit Gaussian that it hits, or else its limit."""
+    """Writes each ray's end: the distance of its hit on a relit Gaussian or, without a hit, its limit."""
     i = start + wp.tid()
     ends_out[i] = wp.min(limits[i], surfaces.depth[i])
 
 
 @wp.kernel
 def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inout: GaussianHits):
-    """Chooses the relit hit with probability equal to the capture's transmittance in front of it, else the capture.
+    """Chooses the relit hit or the capture in front of it; the transmittance of the capture is the relit hit's chance.
 
     The expected value equals compositing the capture over the relit Gaussian.
     """
@@ -43,7 +43,7 @@ def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inou
 
 @wp.kernel
 def darken(start: int, rays: RayData, mirrored: wp.array[int], hits_inout: GaussianHits):
-    """Subtracts from each ray's radiance that of darkened captures, unless a mirror reflected the ray."""
+    """Subtracts the radiance of darkened captures from the radiance of each ray, unless a mirror reflected the ray."""
     i = start + wp.tid()
     if not rays.is_active[i]:
         return

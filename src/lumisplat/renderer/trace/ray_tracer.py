@@ -55,8 +55,8 @@ class RayTracer:
             scene: The device scene, synced for rays.
             rays: The rays; their number is a multiple of ``PACKET_RAYS``.
             name: Prefix of the buffers that hold the result.
-            bounced: Whether the rays start at surfaces. They then skip the Gaussians of that surface, as shadow rays
-                do.
+            bounced: Whether the rays start at surfaces. Each ray then skips the Gaussians of its surface, as shadow
+                rays do.
             centers: Rays through pixel centres, along which Gaussians are evaluated; None: along ``rays``.
             dark: Captures that appear black to rays of paths; None: none.
         """

@@ -11,10 +11,10 @@ from lumisplat.runtime.buffers import DeviceArray
 
 @dataclass(frozen=True, slots=True)
 class CarriedState:
-    """State that rays inherit from the rays that they were reflected or refracted from."""
+    """State that reflected and refracted rays inherit from their parent rays."""
 
     weights: DeviceArray | None = None
-    """Weight with which each ray's radiance is added to the ray that it branched off; None: camera rays."""
+    """Weight with which each ray's radiance is added to its parent ray's; None: camera rays."""
     media: DeviceArray | None = None
     """Media (meshes of glass) that each ray is inside; None: the scene has no media."""
     sees_environment: DeviceArray | None = None
@@ -53,9 +53,9 @@ class LightImages:
     """Images of the camera rays' light by light source and by layer: linear, each an array of one vec3 per ray."""
 
     direct: list[DeviceArray] = field(default_factory=list[DeviceArray])
-    """For each light, the radiance that surfaces at the first hits reflect from it, without shadows."""
+    """For each light, the radiance that surfaces at the first hits reflect from this light, without shadows."""
     arrived: list[DeviceArray] = field(default_factory=list[DeviceArray])
-    """For each light, the radiance that surfaces at the first hits reflect from it, with shadows."""
+    """For each light, the radiance that surfaces at the first hits reflect from this light, with shadows."""
     layers: dict[str, DeviceArray] = field(default_factory=dict[str, DeviceArray])
     """Images of the frame's layers (AOVs) that only the integrator knows, such as direct_diffuse or bounces, by name.
     """

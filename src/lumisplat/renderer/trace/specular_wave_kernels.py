@@ -34,7 +34,7 @@ def start_ray(child: int, parent: int, branch: int, path_length: float, wave: wp
     Args:
         child: Index of the new ray in the next wave.
         parent: Index of the parent ray in this wave.
-        branch: Number by which the child's random keys are derived from the parent's.
+        branch: Number that derives the child's random keys from the parent's.
         path_length: Length of the unfolded path from the eye to the child's origin.
         wave: Wave of the parent.
         rays_out: Rays of the next wave.
@@ -86,7 +86,7 @@ def spawn_rays(
     media_out: wp.array[wp.vec4i],
     sees_environment_out: wp.array[wp.bool],
 ):
-    """Per branch: starts its ray at the parent's hit, on the side of the surface to which the ray leaves.
+    """Per branch: starts its ray at the parent's hit, on the side of the surface where the new ray runs.
 
     ``media_out`` is empty in scenes without media, and ``sees_environment_out`` where all rays get environment
     radiance.
@@ -139,7 +139,7 @@ def gather_branches(
     far: wp.array[WaveData],
     near_inout: wp.array[WaveData],
 ):
-    """Per ray: adds the radiance of its reflected, refracted and lobe rays, of wave ``far``, to its own.
+    """Per ray: adds the radiance of its reflected, refracted and lobe rays (in wave ``far``) to its own radiance.
 
     Display-referred colours are added if unlit, else linear radiance.
     """

@@ -68,5 +68,5 @@ class SpecularWaves:
         return rays, CarriedState(weights, media, sees_environment)
 
     def gather(self, scene: DeviceScene, near: RayWave, far: RayWave) -> None:
-        """Adds the radiance of wave ``far`` to the rays of the wave before, ``near``, that its rays branched off."""
+        """Adds the radiance of rays of wave ``far`` to their parent rays, in the wave ``near`` before."""
         self._launcher.run_banded(kernels.gather_branches, near.count, scene.shading, far.data, near.data)

@@ -37,7 +37,7 @@ _BUILDS = itertools.count()
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """Nodes of equal depth of the BVHs that are being built, which are split next."""
+    """Nodes of one depth, in all BVHs that are being built; these nodes are split next."""
 
     depth: int
     """Depth in the BVH of the nodes that are split next; 0: the roots."""
@@ -79,8 +79,8 @@ class BoxTree:
         self.stack_size = 1
         """Largest number of nodes on the stack of a traversal that may visit children in any order."""
         self.build = -1
-        """Number of the last build, unique in the process. While it stays the same, so do levels and addresses of
-        nodes."""
+        """Number of the last build, unique in the process. While this number stays the same, levels and addresses of
+        nodes stay the same, too."""
 
     @property
     def bytes(self) -> int:
@@ -89,10 +89,10 @@ class BoxTree:
 
     @property
     def cost(self) -> float:
-        """Total surface area of all nodes, divided by that of the root.
+        """Total surface area of all nodes, divided by the surface area of the root.
 
-        The quotient is the expected number of nodes that a random ray hits if it hits the root. 1 if the root has no
-        area, or an area beyond float32.
+        The quotient is the expected number of nodes that a random ray hits if it hits the root. The quotient is 1 if
+        the root's area is 0 or exceeds float32.
         """
         areas = self._areas.numpy().astype(np.float64)
         return float(areas.sum() / areas[0]) if 0.0 < areas[0] < np.inf else 1.0
@@ -122,9 +122,9 @@ class BoxTree:
             self._launcher.run_banded(kernels.refit_nodes, nodes, first, boxes, self.nodes, self._areas)
 
     def by_area(self, boxes: DeviceArray, items: DeviceArray) -> Split:
-        """Returns the CPU's function that splits a level's nodes, by surface area heuristic.
+        """Returns the function that splits a level's nodes on the CPU: by surface area heuristic.
 
-        It reorders ``boxes`` and ``items``.
+        The function reorders ``boxes`` and ``items``.
         """
 
         def split(level: Level) -> None:
@@ -139,7 +139,7 @@ class BoxTree:
         return split
 
     def by_code(self, codes: DeviceArray) -> Split:
-        """Returns CUDA's function that splits a level's nodes, by the digits of their items' sorted Morton codes."""
+        """Returns the function that splits a level's nodes on CUDA: by digits of their items' sorted Morton codes."""
 
         def split(level: Level) -> None:
             self._launcher.run_banded(

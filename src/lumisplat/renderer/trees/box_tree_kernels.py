@@ -49,9 +49,9 @@ def half_area(low: wp.vec3, high: wp.vec3) -> float:
 
 @wp.func
 def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, axis: int, middle2: float) -> int:
-    """Moves boxes, and their ``items``, with doubled centre below ``middle2`` along ``axis`` to the front.
+    """Moves to the front the boxes, with their ``items``, whose doubled centre along ``axis`` is below ``middle2``.
 
-    Returns the index after them.
+    Returns the index after these boxes.
     """
     low = int(begin)
     high = int(end)

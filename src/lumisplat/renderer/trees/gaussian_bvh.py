@@ -1,4 +1,4 @@
-"""Builds a BVH over the Gaussians of an asset, and refits it when they move."""
+"""Builds a BVH over the Gaussians of an asset, and refits the BVH when the Gaussians move."""
 
 # Warp creates its vector types at run time, so type checkers know neither them nor the kernels that take them.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false

@@ -1,6 +1,6 @@
 """Sorts incoherent rays so that neighbours in the order have similar origins and directions.
 
-Rays are still traced one by one, but find BVH nodes in the caches that preceding rays have read.
+Rays are still traced one by one, but they find BVH nodes in the caches, because preceding rays have read these nodes.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import sort_pairs
 
 _CELLS = 8.0
-"""Number of cells along the scene's size in the grid by which the origins of incoherent rays are sorted."""
+"""Number of grid cells along the scene's size. Incoherent rays are sorted by the cells of their origins."""
 
 _LAST = 8 * 16**3
 """Sort key of inactive rays; larger than the keys of active rays."""
