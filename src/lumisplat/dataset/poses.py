@@ -19,7 +19,7 @@ from lumisplat.scene.ops.views import frame_camera
 from lumisplat.scene.placing import front_vector
 
 _TRIES = 200
-"""Largest number of random poses tried for a view before it is an error."""
+"""Number of random poses that are tried for a view before an error is raised."""
 _NEAR = 1e-3
 """Distance of the near plane, as a fraction of the diagonal of the scene's box."""
 _UPRIGHT = 1e-3

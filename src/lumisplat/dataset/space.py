@@ -15,7 +15,7 @@ from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _INSIDE = 0.5
-"""Winding number above which a point is inside a mesh; holes in the mesh make it fractional."""
+"""A point is inside a mesh if the winding number is above this; holes in a mesh make winding numbers fractional."""
 
 
 def winding_number(triangles: Doubles, point: Doubles) -> float:

@@ -486,8 +486,8 @@ def load_animation(
     Args:
         path: The scene file. Or ``.glb`` or ``.gltf``: its first animation (nodes, skins and morph targets) at 25
             frames per second. Or ``.usda``, ``.usdc``, ``.usdz`` or ``.usd``: rigid prims with time samples become
-            actors with keyframes, deforming ones actors that are read again at each frame. The first moving camera
-            becomes the camera path.
+            actors with keyframes, and deforming prims become actors that are read again at each frame. The first moving
+            camera becomes the camera path.
         drop_invalid: As in `load`, for each capture.
         crease_angle: As in `load`, for each OBJ.
         allow_outside: As in `load`, for each mesh and rig.

@@ -416,7 +416,7 @@ def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]])
 
     Args:
         element: The element.
-        data: Binary data of its rows.
+        data: Binary data of the element's rows.
         first: Positions of the lists in the first row.
     """
     fields: list[tuple[Any, ...]] = []

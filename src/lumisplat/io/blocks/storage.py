@@ -43,10 +43,10 @@ BLOCK_CELLS_MAX = 2**16
 blocks are written."""
 
 _INDEX = BLOCKS
-"""File name of the index. It is written last, so a folder without it is an incomplete capture."""
+"""File name of the index. The index is written last, so a folder without an index is an incomplete capture."""
 _VERSION = 1
 _GAUSSIAN_FLOATS = 11
-"""Numbers per Gaussian before its SH coefficients: mean, quaternion (wxyz), scales, opacity."""
+"""Number of floats in a stored row before the SH coefficients: mean, quaternion (wxyz), scales, opacity."""
 
 _COLUMNS = (slice(3), slice(3, 7), slice(7, 10), 10, slice(_GAUSSIAN_FLOATS, None))
 """Columns of a stored row: 0 to 2 mean, 3 to 6 quaternion wxyz, 7 to 9 scales, 10 opacity, and the SH after them."""
@@ -98,7 +98,7 @@ class BlockIndex:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments for `Gaussians` besides its arrays: antialiasing, up direction and first view."""
+        """Keyword arguments of `Gaussians` that are not arrays: antialiasing, up direction and first view."""
         return {"antialiased": self.antialiased, **self.orientation._asdict()}
 
     @property
@@ -288,7 +288,7 @@ def write_blocks(
         cell: Edge length of the largest cubes, scene units.
         levels: Number of coarser levels of detail besides the finest. Each has a quarter of the Gaussians of the
             next finer level, see `lumisplat.editing.decimate`.
-        block_max: Largest number of Gaussians in a block. Gaussians at one position may exceed it.
+        block_max: Largest number of Gaussians in a block. A block of Gaussians at one position may have more.
         progress: Called with the fraction of Gaussians whose blocks are written, 0..1, after all chunks were read.
 
     Raises:
@@ -439,7 +439,7 @@ class _Writer:
         """Yields one block for a cube; a cube with too many Gaussians yields the blocks of its eight parts instead.
 
         Args:
-            path: File with the rows of the cube, which is removed.
+            path: File with the rows of the cube; the file is removed.
             depth: Number of splits that led to this cube.
         """
         count = path.stat().st_size // (4 * self._width)

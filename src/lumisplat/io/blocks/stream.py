@@ -164,7 +164,7 @@ def stream_ply(
 
 
 def can_stream(path: PathLike) -> bool:
-    """Returns whether `stream_ply` can open the file; False if it cannot be read."""
+    """Returns whether `stream_ply` can open the file; False if the file cannot be read."""
     try:
         _opened(Path(path))
     except (OSError, FormatError):

@@ -233,7 +233,8 @@ def plan_views(
     """Plans which blocks each worker holds and loads; each worker renders a run of consecutive views.
 
     A worker caches its most recently used blocks, as many as fit into its memory. A view whose blocks do not fit at
-    once is split into 2 x 2, 4 x 4 or 8 x 8 windows (`Camera.windows`), which give the pixels of the whole view.
+    once is split into 2 x 2, 4 x 4 or 8 x 8 windows (`Camera.windows`). Together, the windows have exactly the pixels
+    of the whole view.
 
     Args:
         index: Index of the capture; its block files need not exist.

@@ -31,7 +31,7 @@ EXPANSION_MAX = 200
 """Ratio of decoded to stored bytes above which a file counts as a decompression bomb. Real captures stay under 30."""
 
 TEXTURE_BYTES_FREE = 2**30
-"""Total bytes that the decoded textures of one file may always take: twenty of 4096 x 4096 pixels.
+"""Total bytes that the decoded textures of one file may always take, enough for twenty of 4096 x 4096 pixels.
 
 `EXPANSION_MAX` limits larger totals."""
 
@@ -342,8 +342,8 @@ def leaves_folder(path: PathLike, file: Path, folder: Path | None = None) -> boo
 def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Path:
     """Returns the path of a file that another file refers to; the file need not exist.
 
-    Symbolic links may lead out of the folder, because the user made them. Names may not, because their file is not
-    trusted. Backslashes of Windows are read as slashes unless a file with that literal name exists.
+    Symbolic links may lead out of the folder, because the user made them. Names may not, because the file that contains
+    them is not trusted. Backslashes of Windows are read as slashes unless a file with that literal name exists.
 
     Args:
         path: The file that contains the reference.

@@ -421,7 +421,7 @@ class _AnimationReader:
         return Animation(scene, actors, cameras, fps=_FPS, frame_count=frames, camera_path=self._camera_path())
 
     def _is_deformed(self, index: int) -> bool:
-        """Returns whether the animation changes the shape of a node's mesh, by joints of its skin or morph weights."""
+        """Returns whether the animation changes the shape of a node's mesh, by morph weights or the skin's joints."""
         node = self._file.model.nodes[index]
         if node.mesh is None:
             return False

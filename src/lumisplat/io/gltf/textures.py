@@ -1,4 +1,4 @@
-"""Reads the textures of glTF materials that share one set of texture coordinates."""
+"""Reads the textures of glTF materials. The textures read for one material share one set of texture coordinates."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Textures(NamedTuple):
     uv_transform: UvTransform
     """Texture coordinates of the material's first texture. All textures in ``indices`` use these coordinates."""
     indices: dict[str, int]
-    """Index of each texture in the file's ``textures``, by the name of the material field, such as ``normal_texture``.
+    """Indices into the file's list ``textures``, by the name of the material field, such as ``normal_texture``.
     """
     left_out: list[str]
     """glTF names of textures that are not read, because they have other texture coordinates than the first texture."""

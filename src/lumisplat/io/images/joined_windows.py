@@ -94,7 +94,11 @@ class ExrRows:
 
 
 def _predicted(content: bytes) -> bytes:
-    """Applies OpenEXR's ZIP predictor: bytes at even, then at odd offsets, each replaced by its difference + 128."""
+    """Applies OpenEXR's ZIP predictor to bytes.
+
+    Bytes at even offsets come first, then bytes at odd offsets. Each byte but the first is then replaced by its
+    difference from the byte before it, plus 128.
+    """
     stored = np.frombuffer(content, np.uint8)
     parted = np.concatenate([stored[::2], stored[1::2]])
     parted[1:] = np.diff(parted) + np.uint8(128)

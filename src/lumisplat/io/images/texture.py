@@ -17,7 +17,8 @@ from lumisplat.io.files.source import PathLike, TextureBytes, opened, read_bytes
 from lumisplat.math.arrays import host_array
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TGA", "TIFF")
-"""Formats that Pillow decodes itself. For others it would start external programs, such as Ghostscript for EPS."""
+"""Formats that Pillow decodes itself. For other formats, Pillow would start external programs, such as Ghostscript for
+EPS."""
 
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _SCAN, _END = 0xDA, b"\xff\xd9"

@@ -73,7 +73,7 @@ class TriangleSieve:
 
 
 def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-    """Splits polygons into triangle fans around their first corner.
+    """Splits each polygon into a triangle fan around the polygon's first corner.
 
     Args:
         corner_counts: Number of corners of each of P polygons, shape (P,). Polygons with fewer than 3 corners (points,
@@ -135,7 +135,7 @@ def material_for_uvs(path: PathLike, material: Material, uvs: FloatArray | None,
         path: The file, named in the log.
         material: Material of the file.
         uvs: Texture coordinates of the mesh.
-        name: Name of the mesh, for the log if the material has none.
+        name: Name of the mesh, which the log line uses if the material has no name.
     """
     unusable = [texture for texture in texture_names(material) if getattr(material, texture) is not None]
     if not unusable or uvs is not None:

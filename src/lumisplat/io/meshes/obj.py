@@ -65,10 +65,10 @@ class _ObjFile:
 def read_obj(path: Path, crease_angle: float = CREASE_ANGLE) -> Mesh | Scene:
     """Reads polygons (fanned into triangles), texture coordinates, normals, vertex colours and materials.
 
-    Meshes without normals get smooth ones, split at edges sharper than ``crease_angle`` (radians; 0 keeps them flat).
-    `Kd` is linear, `map_Kd` and vertex colours are sRGB, as in Blender. If `Kd` is missing or 0, `map_Kd` is used
-    unscaled. `Pr` and `Pm` are roughness and metallic, `Ni` is the index of refraction. Transparency is not read. If a
-    material library is missing, the default material is used and a line is logged.
+    Meshes without normals get smooth normals, split at edges sharper than ``crease_angle`` (radians; 0 gives flat
+    shading). `Kd` is linear, `map_Kd` and vertex colours are sRGB, as in Blender. If `Kd` is missing or 0, `map_Kd` is
+    used unscaled. `Pr` and `Pm` are roughness and metallic, `Ni` is the index of refraction. Transparency is not read.
+    If a material library is missing, the default material is used and a line is logged.
 
     Returns:
         A mesh, or a scene with one mesh per material if there are several.

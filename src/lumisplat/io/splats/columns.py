@@ -210,7 +210,8 @@ OPTIONAL = (*FIELDS, "incident")
 """Fields that only some captures have: `FIELDS` and incident light."""
 
 _STEPS = 4
-"""Number of adjacent float32 numbers above and below an encoded value that are tried to find one that decodes exactly.
+"""Number of float32 neighbours, above and below an encoded value, that are tried in search of an exactly decoding
+number.
 """
 
 _ACTIVATED_MIN = 32

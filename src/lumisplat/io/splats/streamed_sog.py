@@ -49,7 +49,7 @@ SOG_CHUNK_EXTENT = 16.0
 Viewers choose one level of detail for a whole leaf."""
 
 SOG_LEAF_MIN = 8192
-"""Number of Gaussians up to which a leaf is not split although it exceeds `SOG_CHUNK_EXTENT`.
+"""A leaf with at most this many Gaussians is not split even if the leaf is larger than `SOG_CHUNK_EXTENT`.
 
 In a capture whose scene units are not metres, leaves could otherwise become too small."""
 

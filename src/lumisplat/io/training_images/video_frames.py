@@ -45,7 +45,7 @@ def extract_frames(
 ) -> list[Path]:
     """Extracts training images from a video: the sharpest frame of each time interval, rotated upright.
 
-    Images are written to the subfolder ``images``, as `find_poses` and COLMAP expect. If anything fails, none is
+    Images are written to the subfolder ``images``, as `find_poses` and COLMAP expect. If anything fails, no image is
     written.
 
     Args:

@@ -3,9 +3,9 @@
 A UsdLux light emits radiance ``intensity * 2^exposure * color`` in nits, divided by the area of the light if
 ``inputs:normalize`` is set. The area is in square stage units, because USD renderers ignore metersPerUnit. A sphere of
 radius r and radiance L has an intensity of ``pi r^2 L`` candela. A distant light of angular radius t gives ``pi
-sin(t)^2 L`` lux, or, if normalized, its intensity in lux. Lights in radiance are written without normalization; candela
-and lux are written as intensities of normalized lights. A normalized sphere divides by its surface area 4 pi r^2 but
-shows a disk of pi r^2, so its ``intensity`` is four times its candela at any radius.
+sin(t)^2 L`` lux. The intensity of a normalized distant light is in lux. Lights in radiance are written without
+normalization; candela and lux are written as intensities of normalized lights. A normalized sphere divides by its
+surface area 4 pi r^2 but shows a disk of pi r^2, so its ``intensity`` is four times its candela at any radius.
 
 The image of a dome light has +z in its middle and +x to the left of the middle.
 """
@@ -80,7 +80,7 @@ def is_light(prim: Any) -> bool:
 
 
 def read_light(file: UsdFile, placed: PlacedPrim) -> Light | None:
-    """Reads a light into world space; returns None if its type is not supported, which is logged.
+    """Reads a light into world space; logs and returns None for a light of an unsupported type.
 
     Raises:
         FormatError: A value is out of range, or the image of a dome light cannot be read.
@@ -146,7 +146,7 @@ def _scale(placed: PlacedPrim) -> float:
 
 
 def _shadow_distance(file: UsdFile, placed: PlacedPrim) -> float:
-    """Returns the largest distance at which objects cast shadows, world units; inf unless the file states one > 0."""
+    """Returns the largest distance at which objects cast shadows, world units; inf if the file states none above 0."""
     distance = number(file, placed.prim, "inputs:shadow:distance", -1.0)
     return distance * _scale(placed) if distance > 0.0 else math.inf
 
@@ -263,7 +263,7 @@ _READERS: dict[str, Callable[[UsdFile, PlacedPrim, float, dict[str, Any]], Light
 def _read_environment(
     file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any], shadow_distance: float
 ) -> LightEnvironment | None:
-    """Reads a dome light as an environment; returns None if its image is not latitude-longitude, which is logged."""
+    """Reads a dome light as an environment; logs and returns None for an image that is not latitude-longitude."""
     prim = placed.prim
     asset, layout = (
         value(file, prim, "inputs:texture:file"),
@@ -346,7 +346,7 @@ def write_light(writer: StageWriter, light: Light) -> None:
 
 
 def _define(writer: StageWriter, light: Light, kind: str) -> Any:
-    """Creates a prim of the UsdLux type ``kind``, such as ``SphereLight``, with a free path from the light's name."""
+    """Creates a prim of the UsdLux type ``kind``, such as ``SphereLight``, at an unused path with the light's name."""
     path = writer.path_of(light.name or kind)
     return getattr(pxr().UsdLux, kind).Define(writer.stage, path).GetPrim()
 
@@ -356,7 +356,7 @@ def _set(prim: Any, name: str, value: Any) -> None:
 
 
 def _write_point(writer: StageWriter, light: LightPoint | LightSpot) -> tuple[Any, float]:
-    """Writes a point or spot light as a normalized SphereLight, with ``treatAsPoint`` if its radius is 0.
+    """Writes a point or spot light as a normalized SphereLight, with ``treatAsPoint`` for a light of radius 0.
 
     Returns:
         The prim and its intensity.

@@ -75,7 +75,7 @@ class _TextureInput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ShaderInput:
-    """Where the value of a shader input comes from: a constant, a texture, or a primvar of the mesh (its name)."""
+    """Where the value of a shader input comes from: a constant, a texture, or a mesh primvar, given by name."""
 
     value: Any = None
     texture: _TextureInput | None = None
@@ -150,7 +150,7 @@ def _read_input(file: UsdFile, given: Any) -> _ShaderInput:
 
 
 def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | None:
-    """Reads a UsdUVTexture node. Returns None if it names no file or uses UDIM tiles, which is logged."""
+    """Reads a UsdUVTexture node. Logs and returns None for a node without a file or with UDIM tiles."""
     asset = _read_input(file, shader.GetInput("file")).value
     name = str(getattr(asset, "path", asset or ""))
     if not name or "<UDIM>" in name:

@@ -113,7 +113,7 @@ class Polygons:
 
 
 class UsdMeshes:
-    """Reads the meshes of a USD file, each once for all its instances.
+    """Reads the meshes of a USD file; a mesh is read once for all its instances.
 
     Args:
         file: The open file.

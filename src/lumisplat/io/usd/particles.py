@@ -146,7 +146,7 @@ def _color_space(prim: Any) -> str:
 
 
 def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Any]:
-    """Reads normals and materials of N particles, N = ``count``; primvars without one value for each are ignored."""
+    """Reads normals and materials of ``count`` particles; a primvar without one value per particle is ignored."""
     primvars, found = pxr().UsdGeom.PrimvarsAPI(prim), dict[str, Floats]()
     for name, columns in _PRIMVARS.items():
         primvar = primvars.GetPrimvar(name)

@@ -53,7 +53,8 @@ USD_CPU_SECONDS_PER_MEGABYTE = 1.0
 """Seconds added to a child's processor time limit for each 2^20 bytes of files. Reading 2^20 bytes takes 0.1 s."""
 
 USD_WALL_FACTOR = 10.0
-"""Elapsed time that a child process may take, as a multiple of its processor time limit; large for busy machines."""
+"""Elapsed time that a child process may take, as a multiple of its processor time limit. The factor is large because
+machines may be busy."""
 
 USD_START_SECONDS = 300.0
 """Elapsed time in seconds that a child may take to import usd-core, which takes 0.2 s on an idle machine."""
@@ -290,7 +291,7 @@ class _Child:
         return receive(self._out, self._remote)
 
     def _remote(self, number: int) -> Callable[[float], Any]:
-        """Returns a proxy that calls the child's `Remote` with this number; while it exists, the child stays alive."""
+        """Returns a proxy that calls the child's `Remote` with this number, and reserves the child for this proxy."""
         self._remotes += 1
 
         def call(argument: float) -> Any:
@@ -300,7 +301,7 @@ class _Child:
         return call
 
     def _drop_remote(self) -> None:
-        """Decrements the number of proxies of `Remote` functions, and releases the child process when it reaches 0."""
+        """Decrements the number of proxies of `Remote` functions, and releases the child process when none is left."""
         self._remotes -= 1
         self.release()
 

@@ -410,7 +410,7 @@ class PlacedPrim(NamedTuple):
 
     @property
     def asset(self) -> str:
-        """Path of the prim in its prototype, which is the same for all instances."""
+        """Path of the prim in its prototype. All instances of the prim have the same path."""
         shared = self.prim.GetPrimInPrototype() if self.prim.IsInstanceProxy() else self.prim
         return str(shared.GetPath())
 
