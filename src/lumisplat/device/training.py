@@ -96,7 +96,7 @@ class Exposure:
     matrix: wp.mat33
     offset: wp.vec3
     background: wp.vec3
-    """Display-referred sRGB background behind the Gaussians, to which the correction is not applied."""
+    """Display-referred sRGB background behind the Gaussians; the correction is not applied to it."""
 
 
 @struct
@@ -118,7 +118,8 @@ class SurfaceMaps:
     terms: wp.array[wp.vec2]
     """Each pixel's term in the loss of normals (x) and in the loss of depths (y)."""
     across: wp.array[wp.vec3]
-    """d loss / d vector from the surface point of the pixel's left neighbour to that of its right neighbour.
+    """Derivative of the loss with respect to a vector: from the left neighbour's surface point to the right
+    neighbour's.
 
     ``down`` is the derivative with respect to the vector from the upper to the lower neighbour's surface point.
     """
@@ -178,7 +179,7 @@ class GaussianMaterials:
 
 @struct
 class DirectionalLight:
-    """Light arriving at each of N Gaussians from each of K directions, which sample the sphere evenly."""
+    """Light that arrives at each of N Gaussians from each of K directions; the directions sample the sphere evenly."""
 
     directions: wp.array[wp.vec3]
     """Unit directions towards the light, one for each of K directions."""

@@ -116,7 +116,7 @@ class FrameData:
     ``RenderConfig.aovs`` does not request ``lights``."""
     light_total: FloatArray | None = None
     """Linear radiance that each of L lights contributes to a path-traced frame, (L + 1, H, W, 3): seen directly, in
-    mirrors and after bounces. The last entry is emission of surfaces, which no light causes. The sum over the first
+    mirrors and after bounces. The last entry is the emission of surfaces; no light causes it. The sum over the first
     axis equals the sum of ``bounces``. None: not path-traced, or ``RenderConfig.aovs`` does not request ``lights``."""
     light_names: tuple[str, ...] = ()
     """Name of each light, in the order of ``light_direct``."""
@@ -142,8 +142,9 @@ class FrameData:
     image displacement x (to the right) and y (down) in pixels, and change of the distance from the camera in scene
     units. All three are 0 where ``motion_known`` is 0. None: ``RenderConfig.aovs`` does not request it."""
     motion_known: IntArray | None = None
-    """1 where the pixel's surface was in front of the camera in the previous frame of a real-time sequence, too; 0
-    where the surface is new, or there is no surface, (H, W). None: ``RenderConfig.aovs`` does not request ``motion``.
+    """1 where the pixel's surface was also in front of the camera in the previous frame of a real-time sequence, (H,
+    W). 0 where the surface is new, or where there is no surface. None: ``RenderConfig.aovs`` does not request
+    ``motion``.
     """
     history: FloatArray | None = None
     """Number of frames averaged into the direct light of each pixel's surface, in a real-time frame, (H, W); 0 without

@@ -203,7 +203,7 @@ _DEPTH_RAMP = np.array(
         [0.55, 0.05, 0.03],
     ]
 )
-"""Colour map from dark blue over green to red, which separates depths better than grey."""
+"""Colour map from dark blue over green to red; it separates depths better than grey."""
 
 _HEAT_RAMP = np.array(
     [

@@ -43,7 +43,7 @@ _FILTERED = (
 _FILTER_PX = 3.0
 """Margin, in pixels, of the pinhole image around the part that is resampled: the filter's radius plus one."""
 _BAND_ROWS = 64
-"""Number of image rows whose pixels are undistorted at once, which bounds memory."""
+"""Number of image rows whose pixels are undistorted at once; the limit bounds memory."""
 _PER_LIGHT = ("light_direct", "light_shadow")
 """Image fields with one image for each light."""
 

@@ -117,8 +117,8 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
     """Returns a read-only float64 affine transform; the identity for ``None``.
 
     Raises:
-        SceneError: The matrix is not 4x4, not finite or singular; its last row is not (0, 0, 0, 1); or its entries or
-            those of its inverse are too large for float32.
+        SceneError: The matrix is not 4x4, not finite or singular; its last row is not (0, 0, 0, 1); or an entry of the
+            matrix or of its inverse is too large for float32.
     """
     try:
         matrix = np.array(np.eye(4) if values is None else host_array(values), dtype=np.float64)

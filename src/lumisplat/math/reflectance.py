@@ -19,7 +19,7 @@ def fresnel(cosine: npt.ArrayLike, ior: float) -> npt.NDArray[np.float64]:
 
     Args:
         cosine: Cosine of the angle of incidence, positive, any shape.
-        ior: Index of refraction behind the surface relative to that in front of it, at least 1.
+        ior: Index of refraction behind the surface, divided by the index in front of the surface; at least 1.
 
     Returns:
         Reflectance 0..1, in the shape of ``cosine``.

@@ -115,9 +115,9 @@ def _recurrence(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats
 
 
 def _next_legendre(level: int, m: int, z: _Floats, last: _Floats, before: _Floats) -> _Floats:
-    """Returns the normalised Legendre function ``P_level^m`` by recurrence from those of the two degrees below.
+    """Returns the normalised Legendre function ``P_level^m`` by recurrence from the two degrees below.
 
-    ``last`` is that of degree ``level - 1``, ``before`` that of degree ``level - 2``.
+    ``last`` is the function of degree ``level - 1``, ``before`` the function of degree ``level - 2``.
     """
     outer = math.sqrt((4 * level**2 - 1) / (level**2 - m**2))
     inner = math.sqrt(((level - 1) ** 2 - m**2) / (4 * (level - 1) ** 2 - 1))

@@ -37,7 +37,7 @@ def sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, *, bits: int 
 
     Args:
         keys: Keys, an array of at least 2 ``count`` elements; the second half is scratch space.
-        values: Values, an array of the same size.
+        values: Values, an array as large as ``keys``.
         count: Number of elements to sort.
         bits: Number of low bits of the keys to sort by; None: all.
 

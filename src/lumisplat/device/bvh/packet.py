@@ -84,7 +84,7 @@ def buffer_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], slots: int, hit: 
 
 @wp.func
 def move_to_begin(hits: wp.array[Hit], hit_list: wp.ref[HitList]):
-    """Moves the hits that a list still has to the start of its range, which frees the places of blended hits."""
+    """Moves the hits that a list still has to the start of its range, and so frees the places of blended hits."""
     shift = hit_list.head - hit_list.begin
     if shift > 0:
         for j in range(hit_list.head, hit_list.tail):
@@ -388,7 +388,7 @@ def packet_of(lanes: int) -> RayPacket:
     def take_coherent(rays: RayData, first: int, waiting: wp.ref[Floats], radius_max: float) -> Floats:
         """Takes the first waiting ray and all waiting rays that are close to it in origin and direction.
 
-        ``waiting`` has a positive number for each waiting ray, which is set to -FAR for the rays that are taken.
+        ``waiting`` has a positive number for each waiting ray; the numbers of the rays that are taken are set to -FAR.
         ``radius_max`` is the largest distance between origins.
 
         Returns:

@@ -19,10 +19,9 @@ DISTORTION_RESIDUAL_FLOAT = 2e-6
 It corresponds to 16 roundings of float32, a hundredth of a pixel of the largest images."""
 
 SHUTTER_STEPS = 5
-"""Number of fixed-point iterations that find the row, and thereby the time, at which a rolling shutter exposes a
-point.
+"""Number of fixed-point iterations that find the row that exposes a point with a rolling shutter (as in 3DGUT).
 
-3DGUT uses the same iteration."""
+The row gives the time at which the point is exposed."""
 
 # --- Lens distortion, and its inverse by Newton's method (docs/method/ray_tracing.md#distortion) ---
 

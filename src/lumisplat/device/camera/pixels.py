@@ -173,7 +173,7 @@ def pair_slot(rect: TileRect, first: int, tile_x: int, tile_y: int) -> int:
 # --- Tiles divided into squares, one for each warp of a CUDA thread block ---
 
 WARP_THREADS = 32
-"""Number of threads of a CUDA warp, which can sum values without a barrier; the same on all NVIDIA GPUs."""
+"""Number of threads of a CUDA warp, 32 on all NVIDIA GPUs; the threads of a warp can sum values without a barrier."""
 
 TILE_WARPS = 4
 """Number of CUDA warps that process a tile, each a square of its pixels."""
@@ -191,7 +191,7 @@ ROWS = wp.constant(TILE_PX * TILE_PX // TILE_THREADS)
 """Number of pixels that a CUDA thread processes, all in one column of its warp's square of pixels."""
 
 STRIDE = wp.constant(WARP_THREADS // (TILE_PX // 2))
-"""Number of rows from one pixel of a CUDA thread to its next, in the same column."""
+"""Number of rows from one pixel of a CUDA thread to the thread's next pixel, in the same column."""
 
 ThreadFloats = wp.types.vector(length=TILE_PX * TILE_PX // TILE_THREADS, dtype=wp.float32)
 """Vector type with one float for each pixel that a CUDA thread processes."""

@@ -28,10 +28,10 @@ class RayMotion:
 
 @struct
 class HitMoments:
-    """Sums over the hits of one Gaussian from which its gradients are computed.
+    """Sums over the hits of one Gaussian; the gradients of the Gaussian are computed from these sums.
 
     Each term is multiplied by g, the derivative of the loss with respect to the hit's squared canonical distance d^2.
-    Vectors are along the Gaussian's axes unless stated otherwise. The terms are those of docs/method/gradients.md#hits.
+    Vectors are along the Gaussian's axes unless stated otherwise. docs/method/gradients.md#hits defines the terms.
     """
 
     log_opacity: float
@@ -60,7 +60,8 @@ class HitMoments:
 
 
 NEAREST2 = wp.constant(wp.float32(1.0e-30))
-"""Squared canonical distances are at least this in derivatives of kernels of degree 0 and 1, which have a kink at 0."""
+"""In derivatives of kernels of degree 0 and 1, squared canonical distances count as at least this: these kernels have
+a kink at 0."""
 
 
 @wp.func
@@ -143,8 +144,8 @@ def add_moments(
 ) -> RayMotion:
     """Converts the hit sums of Gaussian ``i`` to gradients of mean, rotation, scales and opacity, added to ``out``.
 
-    Returns the gradient with respect to a rigid motion of the rays, which has the same effect as the opposite motion of
-    the Gaussian.
+    Returns the gradient with respect to a rigid motion of the rays. Moving the rays has the same effect as the opposite
+    motion of the Gaussian.
     """
     scale = gaussians.scales[i]
     by_scale = -2.0 * moments.spread

@@ -24,7 +24,8 @@ class ParticleHit:
     t: float
     """Distance along the ray by which hits are sorted; FAR: the ray misses the Gaussian."""
     distance2: float
-    """Smallest squared distance of the ray from the mean in standard deviations, where the response peaks."""
+    """Squared distance, in standard deviations, from the mean to the nearest point of the ray, where the response
+    peaks."""
     is_near: bool
     """True: the hit is so close to the ray's origin that it counts only if the Gaussian is of another surface layer."""
 
@@ -82,7 +83,7 @@ def alpha_of_degree(kernel: KernelData, log_opacity: float, distance2: float) ->
 
 @wp.func
 def canonical_from_object(rotation: wp.quat, scale: wp.vec3) -> wp.mat33:
-    """Returns the inverse of rotation times scale, which maps object space to a Gaussian's canonical space."""
+    """Returns the inverse of rotation times scale: it maps object space to a Gaussian's canonical space."""
     axes = wp.quat_to_matrix(rotation)
     return wp.matrix_from_rows(
         wp.vec3(axes[0, 0], axes[1, 0], axes[2, 0]) / scale[0],
@@ -160,7 +161,7 @@ def gaussian_color(gaussians: GaussianData, i: int, eye: wp.vec3, sh_degree: int
 
 @wp.func
 def gaussian_facing(gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
-    """Returns the unit normal of the max-density plane of Gaussian ``i`` as seen from ``eye``, both object space."""
+    """Returns the unit normal of the max-density plane of Gaussian ``i`` as seen from ``eye``; both in object space."""
     rotation = wp.quat_to_matrix(gaussians.rotations[i])
     return gaussian_normal(rotation, gaussians.scales[i], eye - gaussians.means[i])
 

@@ -30,7 +30,7 @@ TINY = wp.constant(wp.float32(1e-30))
 def box_weight(box: EmitterBox, point: wp.vec3) -> float:
     """Estimates the irradiance at ``point`` by the Gaussians in ``box``, up to a constant factor.
 
-    It is the box's power over the squared distance, which counts as at least the squared half diagonal.
+    It is the box's power / d^2, where d is the distance to the box's centre, but at least half the box's diagonal.
     """
     away = box.center - point
     return box.power / wp.max(wp.max(wp.dot(away, away), wp.dot(box.half, box.half)), TINY)

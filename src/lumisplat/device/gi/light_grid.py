@@ -80,7 +80,7 @@ NO_CELL = wp.constant(wp.int64(2**63 - 1))
 """Cell key of rays without a surface; larger than the keys of all cells."""
 
 LEVEL_LAST = wp.constant(100)
-"""Largest and, negated, smallest n for which light grid cells may be 2^n scene units wide."""
+"""Light grid cells are 2^n scene units wide, with -LEVEL_LAST <= n <= LEVEL_LAST."""
 
 COORDINATES = wp.constant(2**17)
 """Cell coordinates lie between -COORDINATES and COORDINATES - 1 along each axis."""
@@ -100,7 +100,7 @@ LEAST = wp.constant(wp.float32(1e-30))
 MOST = wp.constant(wp.float32(LIGHT_POWER_MAX))
 
 FEW = wp.constant(wp.float32(0.01))
-"""Below this argument, power series replace ``log(1 - x)`` and ``exp(-x)``, which would cancel."""
+"""For x below this, power series replace ``log(1 - x)`` and ``1 - exp(-x)``, which would lose digits."""
 
 grid_values = wp.types.vector(length=GRID_LIGHTS + 1, dtype=wp.float32)
 """Vector type with one float for each light that a cell stores."""

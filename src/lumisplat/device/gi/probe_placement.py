@@ -127,7 +127,7 @@ SEARCH_ROWS = wp.constant(8)
 """The pixel for a probe is searched on a lattice of the tile's pixels with this number of rows and columns."""
 
 COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
-"""Smallest cosine between the normals of a pixel and a probe on the same Gaussians, whose normals are noisy."""
+"""Smallest cosine between the normals of a pixel and a probe on the same Gaussians; such normals are noisy."""
 
 COSINE_MIN_MESHES = wp.constant(wp.float32(0.95))
 
@@ -135,7 +135,8 @@ SHARE_MIN = wp.constant(wp.float32(0.5))
 """A pixel gets a probe on a surface that covers less than this fraction of it only if the tile has no better pixel."""
 
 LOW_COVERAGE_PENALTY = wp.constant(wp.float32(1e12))
-"""Added to the cost of pixels covered by less than ``SHARE_MIN``, which makes them the last choice for a probe."""
+"""Added to the cost of pixels that their surface covers by less than ``SHARE_MIN``: they are the last choice for a
+probe."""
 
 ADAPTIVE_PENALTY = wp.constant(wp.float32(1e6))
 """When a tile's own probe looks for the previous probe to continue, the distance of adaptive probes grows by this,

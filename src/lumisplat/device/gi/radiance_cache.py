@@ -95,9 +95,9 @@ class CacheSamples:
 
 @struct
 class CachePoints:
-    """Surface points of cache cells from which rays gather indirect light; one element for each ray.
+    """Surface points of cache cells; rays from them gather indirect light. One element for each ray.
 
-    The points of one cell are adjacent, as are those of one tile.
+    The points of one cell are adjacent in the arrays, and so are the points of one tile.
     """
 
     is_active: wp.array[bool]
@@ -142,8 +142,8 @@ class CacheGrid:
 class CacheTiles:
     """Tiles of 8 x 8 cells that the radiance cache holds, found by sorted keys.
 
-    The data of a tile stay at one index, its slot. ``slots`` is a permutation of all slots: those of the tiles in the
-    order of ``keys``, then the free ones.
+    The data of a tile stay at one index, its slot. ``slots`` is a permutation of all slots: first the slots of the
+    tiles in the order of ``keys``, then the free slots.
     """
 
     counts: wp.array[int]
@@ -207,7 +207,7 @@ COORDINATE_MASK = wp.constant(2**18 - 1)
 BITS_32 = wp.constant(wp.int64(32))
 
 KEY_ORIGIN = wp.constant(wp.uint32(0x63616368))
-"""Initial state of the hash that gives cache cells random keys different from those of pixels."""
+"""Initial state of the hash that makes the random keys of cache cells; they differ from the keys of pixels."""
 
 
 @wp.struct

@@ -492,10 +492,10 @@ def sample_choice(
     wave: wp.array[WaveData],
     rays: RayData,
 ) -> Contribution:
-    """Samples the light that real-time rendering has selected, and starts shadow ray ``i`` unless none is needed.
+    """Samples the light that real-time rendering has selected, and starts shadow ray ``i`` if one is needed.
 
-    None is needed if the contribution is black, the frame has no shadows, or the light casts none. ``slot`` is the lit
-    surface of ray ``i``: 0 for Gaussians, 1 for a mesh. Shadow ray ``i`` must be inactive before.
+    No ray is needed if the contribution is black, the frame has no shadows, or the light casts none. ``slot`` is the
+    lit surface of ray ``i``: 0 for Gaussians, 1 for a mesh. Shadow ray ``i`` must be inactive before.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]

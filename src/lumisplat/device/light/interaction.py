@@ -105,8 +105,9 @@ def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contri
 def lift_of(height: float, normal: wp.vec3, geometric_normal: wp.vec3, direction: wp.vec3) -> wp.vec3:
     """Returns the vector by which a shadow ray's origin moves from a flat triangle towards the smooth surface above.
 
-    It is zero if the triangle faces the light by a cosine of at least ``SMOOTH_START_COSINE``, which preserves contact
-    shadows. It grows as the cosine falls, up to ``height * normal`` at cosine 0 and below.
+    It is zero if the cosine between the triangle's normal and the direction to the light is at least
+    ``SMOOTH_START_COSINE``; this preserves contact shadows. The lift grows as the cosine falls, up to ``height *
+    normal`` at cosine 0 and below.
     """
     share = wp.clamp(1.0 - wp.dot(geometric_normal, direction) / START_COSINE, 0.0, 1.0)
     return share * height * normal

@@ -46,7 +46,7 @@ def cone(light: LightData, direction: wp.vec3) -> float:
     """Returns the factor, 0..1, by which a spot is dimmed at a point outside its inner cone.
 
     ``direction`` leads from the point to the spot. ``1 - cosine`` of the angle from the spot's axis is computed as half
-    the squared distance of two unit vectors, which keeps its digits for narrow cones.
+    the squared distance of two unit vectors, because this keeps its digits for narrow cones.
     """
     off = direction + light.direction
     share = (light.outer - 0.5 * wp.dot(off, off)) / wp.max(light.outer - light.inner, TINY)

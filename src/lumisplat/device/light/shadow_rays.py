@@ -324,7 +324,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         first: int,
         key: wp.uint32,
     ) -> int:
-        """Multiplies the transmittance of the packet's rays by that of a Gaussian, and ends rays that this blocks.
+        """Multiplies the transmittance of the packet's rays by a Gaussian's, and ends the rays that become blocked.
 
         Returns 1 if any ray hits the Gaussian, else 0. ``first`` is the index of the packet's first ray in ``rays``,
         ``key`` the key of shared random numbers.

@@ -248,7 +248,7 @@ def splat_interaction(
 def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float:
     """Returns the shadow offset of a surface's own Gaussian, scene units.
 
-    Gaussians nearer than both this and their own offset cast no shadow on the surface.
+    A Gaussian casts no shadow on the surface if it is nearer than this offset and nearer than its own shadow offset.
     """
     asset = scene[0].splats[surface.instance].asset
     largest = scene[0].splats[surface.instance].scale * wp.max(scene[0].attributes[asset].scales[surface.gaussian])

@@ -389,7 +389,7 @@ def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> fl
 
 @wp.func
 def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Returns the pdf, per steradian, with which BSDF_PBR without layers samples ``light``, above the horizon."""
+    """Returns the pdf, per steradian, with which BSDF_PBR without layers samples ``light`` above the horizon."""
     cos_view = wp.dot(normal, view)
     diffuse = diffuse_pdf(bsdf, wp.dot(normal, light))
     share = pbr_share(bsdf, cos_view)

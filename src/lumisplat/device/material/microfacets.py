@@ -264,7 +264,7 @@ def reflected_dot(
     by_diffuse: float,
     by_highlight: float,
 ) -> wp.float32:
-    """Returns ``cosine * (by_diffuse * diffuse BSDF + by_highlight * highlight BSDF)``, which Warp differentiates.
+    """Returns ``cosine * (by_diffuse * diffuse BSDF + by_highlight * highlight BSDF)``, for Warp to differentiate.
 
     ``by_diffuse`` and ``by_highlight`` are derivatives of a loss. ``spread`` is added to the highlight's squared alpha.
     The light must be above the horizon.

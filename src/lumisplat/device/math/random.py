@@ -16,7 +16,7 @@ import warp as wp
 MULTIPLIER_1 = wp.constant(wp.uint32(0x21F0AAAD))
 MULTIPLIER_2 = wp.constant(wp.uint32(0xD35A2D97))
 ORIGIN = wp.constant(wp.uint32(0x6C756D69))
-"""Initial state of the hash that makes all random keys: any number except 0, which ``mix`` maps to 0."""
+"""Initial state of the hash that makes all random keys: any number except 0, because ``mix`` maps 0 to 0."""
 
 BITS_20 = wp.constant(wp.uint32(20))
 BITS_16 = wp.constant(wp.uint32(16))
@@ -153,9 +153,9 @@ def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
 def second_sobol(index: wp.uint32) -> wp.uint32:
     """Returns point ``index`` of the second Sobol dimension as 32 bits in reverse order.
 
-    Bit j is the sum, modulo 2, of those bits k of the index for which the binomial coefficient of k over j is odd. By
-    Lucas's theorem, these are the k whose binary digits include those of j. The sums are therefore formed in five
-    steps, one for each binary digit of k.
+    Bit j of the point is a sum, modulo 2, of bits of the index: of each bit k for which the binomial coefficient of k
+    over j is odd. By Lucas's theorem, these are the k whose binary digits include the digits of j. The sums are
+    therefore formed in five steps, one for each binary digit of k.
     """
     index = wp.bit_xor(index, wp.rshift(index, BITS_16))
     index = wp.bit_xor(index, wp.bit_and(wp.rshift(index, BITS_8), wp.uint32(0x00FF00FF)))

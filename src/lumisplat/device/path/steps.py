@@ -130,7 +130,7 @@ GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
 def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -> float:
     """Estimates which fraction of the ray's light interaction ``j`` scatters; above 0 wherever it scatters any.
 
-    A shadow catcher scatters only if ``may_find_catcher``, which holds for paths that may measure its irradiance.
+    A shadow catcher scatters only if ``may_find_catcher``: the path may measure the catcher's irradiance.
     """
     if not wave[0].interactions.exists[j]:
         return 0.0
@@ -271,7 +271,7 @@ def is_scattering(branch: Branch) -> bool:
 
 @wp.func
 def survival(number: int, throughput: wp.vec3, key: wp.uint32, sample: int) -> float:
-    """Returns the probability with which a path survives Russian roulette after wave ``number``, or 0 to end it.
+    """Returns the probability with which a path survives Russian roulette after wave ``number``; 0: the path ends.
 
     The decision is drawn from the low-discrepancy sequence of ``key`` at point ``sample``.
     """

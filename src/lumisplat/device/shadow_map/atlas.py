@@ -35,7 +35,7 @@ class Atlas:
     origin: wp.vec3
     """World-space position of a point light; for parallel light, the outer corner of texel (0, 0)."""
     axes: wp.mat33
-    """Parallel light: rotation to world space, whose columns are the texels' x and y axes and the travel direction."""
+    """Parallel light: rotation to world space; its columns are the texels' x and y axes and the travel direction."""
     texel_length: float
     """Parallel light: side of a texel in the plane across the light, scene units."""
     bins: int
@@ -195,7 +195,7 @@ def ray_through(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
 
 @wp.func
 def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
-    """Returns the index of texel (x, y) of a face; one step beyond an edge, that of its neighbour on the sphere.
+    """Returns the index of texel (x, y) of a face; one step beyond an edge, the neighbouring texel on the sphere.
 
     -1: outside the plane of parallel light, where there is no neighbour.
     """

@@ -29,7 +29,7 @@ class Footprint:
     """NOTHING: the caster darkens no ray. SOMETHING: only rays within the bounds. EVERYTHING: any ray may be darkened.
     """
     direction: wp.vec3
-    """Unit direction from the light to the caster; for parallel light, the direction in which it travels."""
+    """Unit direction from the light to the caster; for parallel light, the direction in which the light travels."""
     cosine: float
     """Cosine of the half angle of the cone from a point light around the caster."""
     sine: float

@@ -56,7 +56,7 @@ UNSCENTED_BETA = 2.0
 """beta of the unscented transform; 2 is optimal for a Gaussian (Wan and van der Merwe 2000)."""
 
 UNSCENTED_KAPPA = 0.0
-"""kappa of the unscented transform, which adds to the spread of its sigma points."""
+"""kappa of the unscented transform; it adds to the spread of the sigma points."""
 
 UNSCENTED_SINE_MAX = 0.02
 """Sigma points are used only if a Gaussian's radius is at most this fraction of its distance from singularities.
@@ -233,7 +233,8 @@ def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
 def is_around(eye: wp.vec3, away: wp.vec3, reach: float) -> bool:
     """Returns whether direction ``away`` from the eye lies within or close to the cone around a Gaussian's outline.
 
-    ``eye`` and ``away`` are in the Gaussian's canonical space, where it is a sphere of radius ``reach`` at the origin.
+    ``eye`` and ``away`` are in the Gaussian's canonical space; there, the Gaussian is a sphere of radius ``reach`` at
+    the origin.
     """
     across = wp.length(wp.cross(eye, away))
     along = -wp.dot(eye, away)

@@ -83,7 +83,7 @@ def eye_at(camera: CameraData, instance: SplatInstanceData, time: float) -> wp.v
 def is_too_near(camera: CameraData, gaussian: WorldGaussian, view: wp.vec3, axes: wp.mat33, reach: float) -> bool:
     """Returns whether a Gaussian, out to ``reach`` standard deviations, lies completely before the near plane.
 
-    ``view`` is its mean and ``axes`` are its unit axes as columns, both in camera space.
+    ``view`` is the Gaussian's mean, and ``axes`` are its unit axes as columns, both in camera space.
     """
     if camera.model == FISHEYE:
         return wp.length(view) + reach * wp.max(gaussian.scale) <= camera.near
@@ -194,7 +194,8 @@ class RayAt:
     along: wp.vec3
     """Direction of the ray in the Gaussian's canonical space, not normalised."""
     across: wp.vec3
-    """``cross(eye, along)`` in canonical space; its length over that of ``along`` is the distance of mean and ray."""
+    """``cross(eye, along)`` in canonical space. Divided by the length of ``along``, its length is the distance from
+    the mean to the ray."""
     length2: float
     """Squared length of ``along``, the ray's direction in the Gaussian's canonical space."""
     log_alpha: float
@@ -203,7 +204,7 @@ class RayAt:
 
 @wp.func
 def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, pixel_rays: PixelRays, x: int, y: int) -> float:
-    """Stores the ray of pixel (x, y) and returns the distance at which it ends; 0: the pixel has no ray."""
+    """Stores the ray of pixel (x, y) and returns the distance at which the ray ends; 0: the pixel has no ray."""
     ray = ray_index(view, x, y)
     if not pixel_rays.rays.is_active[ray]:
         return 0.0
@@ -419,7 +420,7 @@ class RayItem:
 
 @wp.func
 def fetch(splats: wp.array[RaySplat], index: int, item: wp.ref[RayItem]):
-    """Stores the index of a splat in an element of shared memory, which is too small for whole splats."""
+    """Stores the index of a splat in an element of shared memory; shared memory is too small for whole splats."""
     item.index = index
 
 

@@ -49,7 +49,7 @@ class Box:
 
 @struct
 class Node:
-    """A BVH node, which stores the boxes of its children as vectors with one lane for each child."""
+    """A BVH node: the boxes of its children, as vectors with one lane for each child, and the children's links."""
 
     low_x: Children
     low_y: Children
@@ -83,7 +83,7 @@ class AssetBvh:
     nodes: wp.array[Node]
     """Nodes of the BVH, the root first."""
     particles: wp.array[Particle]
-    """Gaussians of the asset in the order of the BVH's leaves, which ``Node.link`` indexes."""
+    """Gaussians of the asset in the order of the BVH's leaves; ``Node.link`` indexes this array."""
     gaussians: GaussianData
 
 

@@ -105,8 +105,9 @@ class HitProfiles:
     """
 
     first: wp.array[int]
-    """Hits of ray i are the elements ``first[i]`` to ``first[i + 1] - 1`` of the other arrays; one element more than
-    rays."""
+    """Elements ``first[i]`` to ``first[i + 1] - 1`` of the other arrays are the hits of ray i.
+
+    With n rays, ``first`` has n + 1 elements."""
     t: wp.array[float]
     """Hit distance along the ray, by which the hits are sorted from front to back."""
     alpha: wp.array[float]
@@ -160,8 +161,7 @@ class Boundary:
     eta: float
     """Index of refraction on the ray's side over the index behind the surface."""
     media: wp.vec4i
-    """Media that the arriving ray is inside of: mesh instance indices plus one, in the order in which the ray entered
-    them."""
+    """Media that the arriving ray is inside of, in the order of entry: mesh instance indices plus one."""
     media_behind: wp.vec4i
     is_unentered: bool
     """True if the ray leaves a mesh that is a medium without having entered it, as from a camera inside glass."""

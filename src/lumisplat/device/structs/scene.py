@@ -174,7 +174,7 @@ class SmoothData:
     ior: float
     transmission: float
     is_medium: int
-    """1: the mesh is filled with a medium, which refracted rays enter; 0: the mesh has no inside."""
+    """1: the mesh is filled with a medium, and refracted rays enter it; 0: the mesh has no inside."""
     thin_walled: int
     """1: the surface is a wall without thickness, such as a soap bubble; rays pass through it without refraction."""
     priority: int

@@ -301,7 +301,7 @@ class SplatSurface:
     """
 
     instance: int
-    """Index of the surface's splat instance. Without a surface, it is that of the frontmost Gaussian; -1: no Gaussian.
+    """Index of the surface's splat instance; without a surface, of the frontmost Gaussian's instance; -1: no Gaussian.
     """
     gaussian: int
     """Index, in its asset, of the Gaussian that stands for the lit surface; -1: lights change none of the ray's
@@ -409,7 +409,8 @@ class Interactions:
 
     ``spawn_point``, ``spawn_t_min`` and ``geometric_normal`` are empty in frames without shadow rays."""
     spawn_t_min: wp.array[float]
-    """Distance along a shadow ray up to which Gaussians of the layer where it starts do not block it, scene units."""
+    """Distance along a shadow ray, scene units; nearer Gaussians do not block the ray if they are of the layer where
+    it starts."""
     geometric_normal: wp.array[wp.vec3]
     """Unit normal, world space, on the side of the arriving ray: of the hit triangle, or of the layer of flat
     Gaussians.
@@ -514,7 +515,8 @@ class WaveData:
     sees_environment: wp.array[wp.bool]
     """False: the ray must not add the environment or background when it escapes. Empty: all rays add it."""
     branches: wp.array[int]
-    """Number of rays, 0 or 1, that each ray spawns by reflection, by refraction and within a highlight.
+    """Number of rays, 0 or 1, that each ray spawns in three ways: by reflection, by refraction, and within a
+    highlight.
 
     With n rays, the elements are n for reflection, n for refraction and, in frames with highlight rays, n for these."""
     branch_ends: wp.array[int]
