@@ -207,7 +207,8 @@ def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
 _SHEET_TILES = 48
 """Largest number of images on the contact sheet; a view has one for each of its layers."""
 _SHEET_COLUMNS = 8
-"""Number of images in a row of the contact sheet, reduced to a multiple of a view's number of layers."""
+"""Largest number of images in a row of the contact sheet. A row has one or more whole views, so a view with more
+layers exceeds it."""
 _TILE_WIDTH = 200
 """Width of an image on the contact sheet, pixels."""
 _FAR, _NEAR = 0.1, 1.0

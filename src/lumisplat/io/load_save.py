@@ -352,7 +352,7 @@ def load_config(path: PathLike) -> RenderConfig:
     """Loads render settings from the ``[render]`` table of a ``scene.toml``; missing settings have their defaults.
 
     Args:
-        path: A scene file, or a file from `save_config`.
+        path: A scene file, or a file that `save_config` wrote.
 
     Raises:
         FormatError: The file cannot be read, or a setting is unknown or invalid; the message names the line and

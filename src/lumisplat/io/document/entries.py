@@ -52,7 +52,8 @@ class SceneEntry:
     """The entry's asset as loaded, then with crop box and other changes, then with its material. Later edits reuse
     these scenes instead of loading the file again."""
     _poses: dict[float, tuple[Instance, ...]] = field(default_factory=dict[float, tuple[Instance, ...]], repr=False)
-    """Cache of `at`: instances of an actor at the last requested time, so that equal times give identical objects."""
+    """Cache of `SceneEntry.at`: an actor's instances at the last requested time. A repeated call thus returns the same
+    objects."""
 
     @property
     def name(self) -> str:

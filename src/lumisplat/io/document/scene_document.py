@@ -52,7 +52,7 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_simi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneDocument:
-    """An editable scene; `open` and `of` create one.
+    """An editable scene, created by `SceneDocument.open` or `SceneDocument.of`.
 
     A document is immutable: each edit returns a new one, which shares all unchanged objects with the old one. To undo
     an edit, go back to the old document.
@@ -69,7 +69,7 @@ class SceneDocument:
     _scenes: dict[float, tuple[Scene, list[SceneEntry]]] = field(
         default_factory=dict[float, tuple[Scene, list[SceneEntry]]], kw_only=True, repr=False
     )
-    """Cache of `scene`: for the last requested time, the scene and the entry that each of its instances belongs to."""
+    """Cache of `SceneDocument.scene`: the scene at the last requested time, and the entry of each of its instances."""
 
     @classmethod
     def open(
@@ -252,7 +252,7 @@ class SceneDocument:
 
         Args:
             kind: Kind of the entry.
-            table: Its keys and values; paths are relative to the folder of `file`.
+            table: Keys and values of the entry; paths are relative to the folder of `SceneDocument.file`.
 
         Raises:
             ConfigError: The kind is unknown, or the scene already has an environment.
@@ -369,7 +369,7 @@ class SceneDocument:
         """Returns the text of the scene file.
 
         Args:
-            folder: Folder that paths are relative to; None uses that of `file`.
+            folder: Folder that paths are relative to; None uses the folder of `SceneDocument.file`.
         """
         target = self.file.parent if folder is None else Path(folder)
         tables: dict[str, Any] = relocated(dict(self.top), self.file.parent, target)

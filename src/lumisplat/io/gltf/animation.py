@@ -346,8 +346,8 @@ _SAMPLES_PER_FRAME = 4
 _STEP_OFFSETS = (-2e-6, -1e-6, 1e-6)
 """Times of the extra samples around a key with STEP interpolation, in seconds from the key.
 
-Two samples of the old value before the key and two of the new one, at the key and after it, keep the Catmull-Rom cubics
-flat on both sides of the step."""
+Two samples have the old value, before the key. Two have the new value, at the key and after it. The Catmull-Rom cubics
+are then flat on both sides of the step."""
 
 
 def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation:

@@ -272,7 +272,8 @@ class GltfCaptures:
     _read: dict[int, list[Gaussians]] = field(default_factory=dict[int, list[Gaussians]])
     """Captures read so far, by mesh index."""
     _stretched: dict[tuple[int, bytes], Gaussians] = field(default_factory=dict[tuple[int, bytes], Gaussians])
-    """Captures stretched by nodes with a non-uniform scale, by the ``id`` of the original and the bytes of the matrix.
+    """Captures stretched by nodes with a non-uniform scale. A key has the ``id`` of the original capture and the bytes
+    of the stretch matrix.
     """
     _stretched_bytes: int = 0
 

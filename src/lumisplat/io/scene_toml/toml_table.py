@@ -298,7 +298,7 @@ class TomlTable:
 
     @property
     def is_of_file(self) -> bool:
-        """True for a table that was read from a file, False for one that `of` created in memory."""
+        """True for a table that was read from a file, False for a table that `TomlTable.of` created in memory."""
         return bool(self._source.text)
 
     def error(self, problem: str, key: str | None = None) -> FormatError:

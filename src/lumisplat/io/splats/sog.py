@@ -299,7 +299,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
 
 
 def _values(stored: Bytes, field: Meta) -> Floats:
-    """Decodes bytes by the codebook in the meta.json entry ``field``, or, in version 1, by the value range in it."""
+    """Decodes bytes as the meta.json entry ``field`` states: by a codebook or, in version 1, by a linear range."""
     if "codebook" not in field:
         return _scale_to_range(stored / np.float32(255.0), field)
     codebook = np.array(field["codebook"], dtype=np.float32)

@@ -56,7 +56,7 @@ ALL_PAIRS_UP_TO = 40
 """Number of unordered images up to which all pairs are matched."""
 
 SIMILAR_IMAGES = 5
-"""Number of images of similar content that each image is matched with, besides its neighbours in a video."""
+"""Each image is matched with this many images of similar content, besides its neighbours in a video."""
 
 SIMILARITY_FEATURES = 128
 """Number of features of each image, the largest ones, that are matched to find similar images."""

@@ -171,7 +171,7 @@ class _Child:
         self._limit = _Limit.of(0)
         """Memory and time limits of the child for the current file."""
         self._size = 0
-        """Total size in bytes of the layers of the current file for which the child has asked permission."""
+        """Total size in bytes of those layers of the current file that the child has asked to open."""
         self._calls = threading.Lock()
         self._remotes = 0
         """Number of functions in the child for which the parent still holds a proxy; see `Remote`."""

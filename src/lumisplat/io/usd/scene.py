@@ -187,7 +187,7 @@ class StageReader:
 
         Args:
             placed: The prim.
-            collection: `splats` or `meshes`.
+            collection: This reader's list `splats` or `meshes`.
             instances: The instances.
         """
         collection.extend(instances)
