@@ -1,4 +1,4 @@
-"""Meshes that are shadow catchers: two extra frames measure the shadows on them, to darken the pixels behind the mesh.
+"""Shadows on meshes that are shadow catchers: two extra frames measure the shadows, which darken the frame's pixels.
 
 The method is in docs/method/lighting.md#meshes-that-catch-shadows.
 """
@@ -124,7 +124,7 @@ def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_r
 
 
 def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
-    """Converts a frame of `without_catcher_meshes` to instance indices of the full scene, and returns it."""
+    """Returns a frame of `without_catcher_meshes` with its instance indices converted to those of the full scene."""
     numbers = np.array([k for k, one in enumerate(scene.meshes) if not one.shadow_catcher], np.int32)
     first, index = len(scene.splats), frame.instance_index
     if len(numbers) == 0:

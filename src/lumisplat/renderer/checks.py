@@ -68,7 +68,7 @@ def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
 
 
 def check_projection(config: RenderConfig) -> None:
-    """Raises ConfigError if the projection is UNSCENTED and another setting does not support it."""
+    """Raises ConfigError if the projection is UNSCENTED and another setting does not support UNSCENTED."""
     raster = config.raster
     if raster.projection is not Projection.UNSCENTED:
         return

@@ -31,7 +31,7 @@ from lumisplat.scene.scene import Scene
 
 _STEPS = 16
 """Number of equal steps between transmittance 1 and 0. Gaussians of one pixel are merged into one depth sample if the
-transmittance in front of them falls into the same step."""
+transmittances in front of them lie in the same step."""
 _RAYS = 16
 """Largest number of rays per pixel. Coverage of a pixel by a mesh's edge is then a multiple of 1/16."""
 _SURFACE_PX = 16.0
@@ -101,7 +101,7 @@ def render_deep(
 
 
 class _Target(NamedTuple):
-    """Colour, alpha and fallback depth of N pixels, to which the samples of each pixel must add up."""
+    """Target of the samples of N pixels: the colour and alpha that each pixel's samples add up to; a fallback depth."""
 
     color: FloatArray
     """Premultiplied linear colour of each of N pixels, (N, 3)."""
@@ -249,9 +249,9 @@ class _DeepTracer:
         return _Layers(hit, depth, np.zeros(len(hit), np.float32), radiance, np.ones(len(hit), bool))
 
     def _mesh_layers(self, traced: PixelProfile, transmittance: FloatArray) -> _Layers:
-        """Returns the hits of rays on meshes, at which the rays end. Their weight is the transmittance in front.
+        """Returns the hits of rays on meshes, where the rays end, with ``transmittance`` as their weights.
 
-        ``transmittance`` holds the transmittance in front of the mesh for each ray.
+        ``transmittance`` holds the transmittance of each ray in front of the mesh.
         """
         end = np.flatnonzero(np.isfinite(traced.mesh_distance) & (transmittance > 0.0))
         if not len(end):

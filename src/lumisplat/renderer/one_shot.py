@@ -72,9 +72,9 @@ def trace_rays(
 ) -> RayHits:
     """Traces rays with given origins and directions through a scene, including mirrors and glass.
 
-    Rays are traced in batches, so memory does not grow with their number. Neighbouring rays in the arrays are traced
-    together, which is faster if they are close in space. For many calls on one scene, use ``create_renderer`` with
-    ``Pipeline.TRACE`` and its ``trace_rays``.
+    Rays are traced in batches, so memory does not grow with their number. Rays that are neighbours in the arrays are
+    traced together. This is faster if these rays are close in space, too. For many calls on one scene, use
+    ``create_renderer`` with ``Pipeline.TRACE`` and its ``trace_rays``.
 
     Args:
         scene: The scene to trace.
@@ -131,8 +131,8 @@ def transmittance(
 ) -> FloatArray:
     """Returns the transmittance along rays from their origins to ``max_distance``.
 
-    Transmittance is the product of 1 - alpha over all Gaussians on the segment. It is 0 where the product is below
-    ``config.trace.transmittance_min``, or where a mesh of any material is on the segment.
+    Transmittance is the product of 1 - alpha over all Gaussians on the segment. The result is 0 where the product is
+    below ``config.trace.transmittance_min``, or where a mesh of any material is on the segment.
 
     Args:
         scene: The scene that blocks the rays.

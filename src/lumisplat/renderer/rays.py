@@ -48,8 +48,8 @@ exceed this number, because its rays must be traced together."""
 class RayProfile:
     """The Gaussians that rays hit: ray by ray, on each ray in the order in which sorted blending composites them.
 
-    A ray ends after the Gaussian at which its transmittance falls to ``TraceConfig.transmittance_min``, or at the first
-    mesh.
+    A ray ends after the Gaussian at which the ray's transmittance falls to ``TraceConfig.transmittance_min``, or at the
+    first mesh.
     """
 
     first: Rows
@@ -58,7 +58,7 @@ class RayProfile:
     """Hit distance of each Gaussian as ``TraceConfig.hit_distance`` defines it, scene units, one per row; ascending on
     a ray."""
     alpha: FloatArray
-    """Alpha of each Gaussian, the fraction of light from behind that it blocks, 0..0.99, one per row."""
+    """Alpha of each Gaussian, 0..0.99, one per row: the fraction of light from behind that the Gaussian blocks."""
     transmittance: FloatArray
     """Transmittance from just behind each Gaussian to the ray's origin, 0..1, one per row."""
     gaussian_index: IntArray
@@ -407,7 +407,7 @@ class RayProfiles:
     def query(self, scene: DeviceScene, user_scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
         """Returns the profile of N rays, that is, the list of Gaussians on them.
 
-        A first pass counts the hits. A second pass writes them for a few rays at a time, so that device memory is
+        A first pass counts the hits. A second pass writes the hits of a few rays at a time, so that device memory is
         bounded.
 
         Args:
@@ -535,7 +535,7 @@ class RayProfiles:
 def profile_ranges(counts: IntArray) -> Generator[tuple[int, int]]:
     """Yields ranges (first, end) of consecutive rays, each with few enough hits to be listed on the device together.
 
-    At least one range is yielded; it is empty if no ray hits anything.
+    At least one range is yielded: an empty range if no ray hits anything.
 
     Args:
         counts: Number of hits of each ray.

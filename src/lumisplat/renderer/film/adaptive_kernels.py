@@ -73,7 +73,7 @@ def list_rays(
 ):
     """Per ray of the full frame: lists the ray if its pixel takes part in this sample.
 
-    ``is_drawn`` is the output of `mark_rays`, and ``ends`` its inclusive prefix sum.
+    ``is_drawn`` is the output of `mark_rays`, and ``ends`` the inclusive prefix sum of ``is_drawn``.
     """
     ray = start + wp.tid()
     if is_drawn[ray] == 0:

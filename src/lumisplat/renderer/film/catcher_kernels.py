@@ -104,7 +104,7 @@ def measure_depths(
     depths: wp.array[float],
     measured_out: wp.array[wp.vec4],
 ):
-    """Per pixel: writes (noise, slope to the right, slope down, 1) of the depth around it, in pixel sizes.
+    """Per pixel: writes (noise, slope to the right, slope down, 1) of the depth around the pixel, in pixel sizes.
 
     The noise is a mixed second difference over 3 x 3 pixels one stride apart (Immerkær 1996). All four numbers are 0 if
     one of these pixels has no depth.

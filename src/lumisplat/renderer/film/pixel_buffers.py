@@ -42,7 +42,7 @@ class PixelBuffers(Generic[Pixels]):
     """Arrays of a frame's pixels, one after another in one block of device memory."""
 
     data: Pixels
-    """Struct whose fields are the arrays, which kernels get as an argument."""
+    """Struct whose fields are the arrays. Kernels get the struct as an argument."""
     block: DeviceArray
     """The memory block that holds all arrays, as float32."""
     size: tuple[int, int]

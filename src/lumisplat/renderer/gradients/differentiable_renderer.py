@@ -149,9 +149,9 @@ class DifferentiableRenderer(Renderer):
     def render_features(self, features: npt.ArrayLike) -> FloatArray:
         """Blends arbitrary features of Gaussians over the pixels of the last frame, weighted as the colours are.
 
-        The results are weighted sums. To get means, divide them by the sum of weights: ``frame.alpha`` in a scene
-        without meshes, else the result for a feature of ones. Meshes and background contribute nothing. ``gradients``
-        accepts gradients with respect to the result.
+        The results are weighted sums. To get means, divide the results by the sum of weights. In a scene without
+        meshes, this sum is ``frame.alpha``; with meshes, it is the result for a feature that is 1 for all Gaussians.
+        Meshes and background contribute nothing. ``gradients`` accepts gradients with respect to the result.
 
         Args:
             features: C numbers of any sign for each of the scene's N Gaussians, instance by instance, shape (N, C). For

@@ -1,4 +1,4 @@
-"""Backward pass of the EWA rasteriser, from gradients at pixels to those of splats, Gaussians and pose."""
+"""Backward pass of the EWA rasteriser, from gradients at pixels to gradients of splats, Gaussians and camera pose."""
 
 from __future__ import annotations
 

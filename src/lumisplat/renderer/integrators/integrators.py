@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Integrators:
-    """Creates a renderer's integrators when they are first needed.
+    """Creates each of a renderer's integrators when a frame first needs it.
 
     Args:
         launcher: Runs the kernels.

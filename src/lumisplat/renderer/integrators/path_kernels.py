@@ -143,7 +143,7 @@ def add_captured_light(
     """Adds the light on shadow catchers that the capture alone causes, without added objects.
 
     A path that leaves a shadow catcher estimates the irradiance: radiance from other shadow catchers, and from the
-    environment behind them.
+    environment behind these catchers.
 
     Args:
         start: Offset added to the thread index, which is the index of a ray.
@@ -196,7 +196,7 @@ def add_hit_radiance(
     shadows_out: wp.array[PathShadowRays],
     images_inout: wp.array[PathImages],
 ):
-    """Adds the radiance emitted at the rays' hits, and the environment radiance behind them.
+    """Adds the radiance emitted at the rays' hits, and the environment radiance behind the hits.
 
     Args:
         start: Offset added to the thread index, which is the index of a ray.

@@ -164,7 +164,7 @@ class DirectLight:
         return contributions
 
     def _visibility(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> DeviceArray:
-        """Traces the shadow rays, and returns their transmittances, which are the visibilities of the light."""
+        """Traces the shadow rays, and returns their transmittances: the light's visibilities at the rays' origins."""
         skips = wave.row.interactions.shadow_catcher
         with self._launcher.stage("shadow"):
             return self._shadows.trace(

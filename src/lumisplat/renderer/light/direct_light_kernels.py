@@ -159,7 +159,7 @@ def darken_captured(
     """Writes the factor by which shadows darken a captured colour (differential rendering, Debevec 1998).
 
     The part of the captured colour that the scene's lights cause is subtracted from the emission; `add_catcher_light`
-    adds it to the lights' images.
+    adds this part to the lights' images.
 
     Args:
         start: Offset added to the thread index.

@@ -175,7 +175,7 @@ def store_layers(
 
 @wp.func
 def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes a ray's interactions with the surface of its Gaussians and with the mesh behind it."""
+    """Writes the two interactions of a ray: with the surface of its Gaussians, and with the mesh behind the surface."""
     j = wave[0].interactions.exists.shape[0] // 2 + i
     splats = Interaction()
     if reflects_light(surface):

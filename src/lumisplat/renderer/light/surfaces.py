@@ -15,13 +15,14 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 SHADOW_RAY_FIELDS = ("spawn_point", "spawn_t_min", "geometric_normal", "smooth_height")
-"""Fields of `Interactions` that only shadow rays need; frames without them leave the arrays empty."""
+"""Fields of `Interactions` that only shadow rays need; frames without shadow rays leave the arrays empty."""
 
 ROUGH_GLASS_FIELDS = {"transmitted", "thin_walled", "metallic", "metal"}
-"""Fields of `Interactions` that only rough glass needs; frames without it leave the arrays empty."""
+"""Fields of `Interactions` that only rough glass needs; frames without rough glass leave the arrays empty."""
 
 LAYER_FIELDS = {"rescattered", "coat", "coat_alpha", "sheen", "sheen_alpha", "sheen_curve"}
-"""Fields of `Interactions` that only clearcoat, sheen and multiple scattering need; the arrays are empty without them.
+"""Fields of `Interactions` that only clearcoat, sheen and multiple scattering need; the arrays of other frames are
+empty.
 """
 
 RECEIVED_FIELDS = frozenset(

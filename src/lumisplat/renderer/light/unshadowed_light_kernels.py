@@ -16,13 +16,13 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def is_unshadowed(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether light ``number`` is added without shadows: it casts none, or ``no_shadows`` is set."""
+    """Returns whether light ``number`` is added without shadows: the light casts none, or ``no_shadows`` is set."""
     return no_shadows or scene[0].lights[number].casts_shadow == 0
 
 
 @wp.func
 def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Returns the light that a surface reflects from lights without shadows; they count as points or directions.
+    """Returns the light that a surface reflects from lights without shadows; lights count as points or directions.
 
     The environment is not included.
     """

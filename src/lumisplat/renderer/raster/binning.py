@@ -116,7 +116,7 @@ class BinningChunked(Binning):
         self._pairs: dict[str, int] = {}
 
     def finish(self) -> bool:
-        """Ends a frame, and returns True: lists are always complete, as they are counted before they are written."""
+        """Ends a frame, and returns True: lists are counted before they are written, so they are always complete."""
         self.counts = BinningCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
         return True
 
@@ -182,8 +182,8 @@ class BinningParallel(Binning):
     """
 
     _SLOTS: ClassVar[dict[str, int]] = {"raster": 2, "mesh": 3}
-    """Index at which each list's length is stored in the array of totals, by the list's name. The first two totals are
-    the numbers of visible and of non-finite Gaussians."""
+    """Index in the array of totals at which the length of each list is stored, by the list's name. The first two
+    totals are the numbers of visible and of non-finite Gaussians."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         super().__init__(launcher, buffers)

@@ -1,4 +1,4 @@
-"""Kernels that rasterise triangles: they project triangles, find the nearest at each pixel's centre, and shade it."""
+"""Kernels that rasterise triangles: they project triangles, then find and shade the nearest at each pixel's centre."""
 
 import warp as wp
 

@@ -41,7 +41,7 @@ def project_gaussians(
 ):
     """Projects a Gaussian to the image. One thread per Gaussian of one instance of an asset.
 
-    The depth key of the Gaussian is the bits of a positive float, which sort as the float does.
+    The depth key of the Gaussian holds the bits of a positive float: as integers, such bits sort like the floats.
     """
     i = start + wp.tid()
     count = gaussians.means.shape[0]

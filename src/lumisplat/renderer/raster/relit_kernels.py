@@ -1,4 +1,4 @@
-"""Kernels for relit splat sets: what they add to pixels that also show other sets, and their mean surface.
+"""Kernels for relit splat sets: what the sets add to pixels that also show other sets, and the sets' mean surface.
 
 Splats are composited a second time, with other values in place of their colours and normals. The equations are in
 docs/adr/0021-captured-or-relit-per-set.md and docs/method/rasterisation.md#weighted-mean-surface.
@@ -167,8 +167,8 @@ def write_surface_attributes(
 ):
     """Per Gaussian: replaces its splat's colour by its depth plane, and its normal by (roughness, metallic, 1).
 
-    Compositing these gives weighted sums. The depth plane is the vector k with view depth ``dot(k, r)`` on camera ray
-    r. Gaussians of sets that are not relit become black and do not count.
+    Compositing these splats gives weighted sums. The depth plane is the vector k with view depth ``dot(k, r)`` on
+    camera ray r. Gaussians of sets that are not relit become black and do not count.
     """
     i = start + wp.tid()
     if not is_listed(rects[i]):

@@ -77,7 +77,7 @@ def project_splats(
 ):
     """Projects a Gaussian to an ellipse in the image. One thread per Gaussian of one instance of an asset.
 
-    The depth key of the Gaussian is the bits of a positive float, which sort as the float does.
+    The depth key of the Gaussian holds the bits of a positive float: as integers, such bits sort like the floats.
     """
     i = start + wp.tid()
     view = camera[0]

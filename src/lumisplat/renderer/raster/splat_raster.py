@@ -134,7 +134,7 @@ class SplatRaster:
         """Blends the splats in front of meshes into the Gaussian hits of the pixels' rays.
 
         If ``counts``, the number of blended splats is stored, too. Only the kernel with one thread per pixel counts
-        them, and then runs in addition to the kernel with one thread per tile.
+        splats. If ``counts``, it runs in addition to the kernel with one thread per tile.
         """
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
         self._composite(scene, (*arguments, hits))

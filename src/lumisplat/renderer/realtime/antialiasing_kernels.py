@@ -292,7 +292,7 @@ def blend(
     image_inout: wp.array[wp.vec3],
     after_out: wp.array[wp.vec3],
 ):
-    """Per ray: replaces the ray's image value by its mean over frames, which is also stored in ``after_out``.
+    """Per ray: replaces the ray's image value by the mean over frames, and also stores the mean in ``after_out``.
 
     The next frame reads ``after_out`` as ``before``.
     """

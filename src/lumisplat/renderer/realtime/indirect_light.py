@@ -180,7 +180,7 @@ class SecondaryHits:
 
     rays: BouncedRays
     samples: CacheSamples
-    """Surfaces at the hits, and the direct light and environment light that they reflect."""
+    """Surfaces at the hits, and the direct light and environment light that the surfaces reflect."""
 
 
 class SecondaryRays:

@@ -20,7 +20,8 @@ wp.set_module_options({"enable_backward": False})
 
 RAY_LIFT = 1e-4
 """Height above a mesh at which rays from cache cells start, as a fraction of the origin's largest coordinate, so that
-rounding does not put the origin below the surface. The cache stores no triangle from which to compute the error."""
+rounding does not put the origin below the surface. The rounding error is not computed, because the cache stores no
+triangles."""
 
 LIFT = wp.constant(wp.float32(RAY_LIFT))
 GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))

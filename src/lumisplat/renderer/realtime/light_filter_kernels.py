@@ -27,9 +27,9 @@ wp.set_module_options({"enable_backward": False})
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_PIXEL_PX = 2.0
-"""A point continues the history of a previous pixel if it lies within this many pixel widths of the tangent plane of
-that pixel's surface, and the surface within as many of the point's tangent plane. The limit keeps contact shadows from
-taking the history of the object that stands on the surface."""
+"""A point continues the history of a previous pixel if the point and the pixel's surface each lie within this many
+pixel widths of the other's tangent plane. The limit keeps contact shadows from taking the history of the object that
+stands on the surface."""
 
 CHANGE_SIGMAS = 3.0
 """Light counts as changed if the samples around a pixel differ from their means by at least this many standard
@@ -39,7 +39,7 @@ CHANGE_LEAST = 0.02
 """Light never counts as changed if the samples around a pixel differ from their means by less than this fraction."""
 
 MOMENT_FRAMES = 8
-"""Number of frames up to which the luminance's moments, and hence its variance, are true means; later frames have the
+"""Number of frames up to which the luminance's moments, and hence the variance, are true means; later frames have the
 weight 1/8 each, so that old frames fade."""
 
 LUMINANCE_SIGMAS = 4.0
@@ -290,8 +290,8 @@ def accumulate(
 ):
     """Per pixel: adds the sample to its history. The more the light has changed, the fewer frames the history counts.
 
-    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). Histories of few frames are
-    shortened only when objects move, and only if they are outside the range of the samples around.
+    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). A history of few frames is
+    shortened only when objects move, and only if its luminance is outside the range of the samples around.
 
     Args:
         start: Offset added to the thread index.

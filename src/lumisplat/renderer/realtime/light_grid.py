@@ -54,7 +54,7 @@ class LightGrids:
         return grid
 
     def _sorted(self, scene: DeviceScene, wave: RayWave) -> tuple[DeviceArray, DeviceArray]:
-        """Returns the sorted grid cell keys of all surfaces, and for each key the number of distinct keys up to it."""
+        """Returns the sorted grid cell keys of all surfaces, and for each entry the number of distinct keys so far."""
         count, run = wave.count, self._launcher.run_banded
         keys, order = self._get("keys", wp.int64, 2 * count), self._order(count)
         run(kernels.find_cells, count, scene.camera, wave.data, keys, order)

@@ -58,7 +58,7 @@ def find_cells(
 
 @wp.kernel
 def mark_cells(start: int, keys: wp.array[wp.int64], is_first_out: wp.array[int]):
-    """Per ray, in order of cell keys: writes 1 if it is the first ray of its grid cell, else 0."""
+    """Per ray, in order of cell keys: writes 1 if the ray is the first one of its grid cell, else 0."""
     i = start + wp.tid()
     is_first = keys[i] != NO_CELL
     if i > 0 and is_first:

@@ -26,9 +26,9 @@ LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
 
 @wp.kernel
 def number_samples(start: int, interval: int, frame: int, camera: wp.array[CameraData], wave_inout: wp.array[WaveData]):
-    """Per ray: gives its pixel's light sample the next index of a low-discrepancy sequence, if it has one this frame.
+    """Per ray: if its pixel has a light sample in this frame, gives the sample the next low-discrepancy index.
 
-    The indices have no gaps.
+    The index is one into a low-discrepancy sequence. The indices have no gaps.
     """
     i = start + wp.tid()
     at = pixel_of_ray(camera[0].width, i)

@@ -46,7 +46,7 @@ _STAGE = "cache"
 
 
 class RadianceCache:
-    """Cells in world space that store the mean radiance that surfaces in them reflect.
+    """Cells in world space; each cell stores the mean radiance that the surfaces in the cell reflect.
 
     A tile is a square of 8 x 8 cells that are stored together in a slot of the arrays. Frame numbers never decrease.
     Array sizes depend on the settings and the samples of a frame; nothing grows with the number of frames.

@@ -346,7 +346,7 @@ def list_points(
 
 @wp.kernel
 def copy_means(start: int, points: CachePoints, tiles: CacheTiles, means_out: wp.array[wp.vec4]):
-    """Per ray: copies the mean indirect radiance of the cell where it starts, as it was before this frame's bounces."""
+    """Per ray: copies the mean indirect radiance of the cell where the ray starts, from before this frame's bounces."""
     i = start + wp.tid()
     if points.is_active[i]:
         means_out[i] = tiles.indirect[points.slot[i] * TILE_MEANS + points.cell[i]]

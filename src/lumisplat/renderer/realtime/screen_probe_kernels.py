@@ -147,7 +147,7 @@ def find_needs(
     keys_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Per tile: counts the pixels for which no probe is near enough, and writes a sort key, largest count first."""
+    """Per tile: counts the pixels that no probe is near enough to, and writes a sort key, largest count first."""
     tile = start + wp.tid()
     place = choose_pixel_among(
         SEARCH_ROWS, tile, True, grids[0], cameras[0], cameras_before[0], surfaces, probes, before, adaptive_before

@@ -24,7 +24,7 @@ _DEGREE = 2
 
 
 class ScreenProbes:
-    """Probes on the surfaces that a frame shows, with the radiance that they have gathered over frames.
+    """Probes on the surfaces that a frame shows, with the radiance that the probes have gathered over frames.
 
     In each frame, call ``place`` and ``rays``, trace the rays, and call ``update``, then ``irradiance``. Each array
     element has one writer, so the bits are the same for any number of threads.
@@ -187,7 +187,7 @@ class ScreenProbes:
         self.light.sh = buffers.get("probes.light.sh", wp.vec3, self.count * (_DEGREE + 1) ** 2)
 
     def _list(self, name: str, count: int) -> DeviceArray:
-        """Returns an array of ``count`` integers, with the scratch space that sorting needs behind them."""
+        """Returns an array of ``count`` integers, followed by the scratch space that sorting needs."""
         return self._buffers.get(name, wp.int32, 2 * count)
 
     def _write_grid(self, frame: int) -> None:

@@ -58,7 +58,7 @@ class CachedBvh:
 
 
 class BvhScene:
-    """BVHs of a scene's Gaussians, built when rays first need them and refitted when their Gaussians move.
+    """BVHs of a scene's Gaussians, built when rays first need them, and refitted when Gaussians move.
 
     Args:
         launcher: Runs the kernels.
@@ -75,7 +75,7 @@ class BvhScene:
         (bitwise not)."""
         self._synced: tuple[list[int], list[bytes], dict[SplatSets, list[bool]]] | None = None
         self.footprint = 0.0
-        """Largest standard deviation by which rays widen Gaussians, over all instances, in pixel widths."""
+        """Standard deviation, in pixel widths, by which rays widen Gaussians: the largest over all instances."""
         self.hit_distance = HIT_PEAK
         """Where on a ray kernels compute hits: HIT_MEAN if any instance uses the mean, else the instances' common
         HIT_PEAK or HIT_HULL.

@@ -123,9 +123,9 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
 
 
 def image_field(camera: Camera) -> float:
-    """Returns the tangent of the angle from the optical axis up to which a pinhole projects sigma points by tangents.
+    """Returns the tangent of the largest angle from the optical axis at which sigma points are projected by tangents.
 
-    The angle is that of the widest pixel's ray plus ``FIELD_MARGIN``, at most ``FIELD_MAX``.
+    The camera is a pinhole. The angle is that of the widest pixel's ray plus ``FIELD_MARGIN``, at most ``FIELD_MAX``.
     """
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1)

@@ -35,7 +35,7 @@ EMITTER_FLOOR = 0.05
 which a Gaussian counts, as a fraction of the capture's mean."""
 
 EMITTER_GAUSSIANS = 16_384
-"""Largest number of an emissive capture's Gaussians that are read to compute the boxes around it."""
+"""Largest number of Gaussians of an emissive capture that are read to compute the boxes around the capture."""
 
 EMITTER_RECEIVERS = 1024
 """Largest number of triangles or Gaussians of a lit object that are sampled to decide whether a capture counts as a

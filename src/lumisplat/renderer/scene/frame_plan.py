@@ -154,7 +154,7 @@ class FramePlan:
     has_meshes: bool
     """True if the scene has mesh instances."""
     has_media: bool
-    """True if rays refract into meshes and therefore store which meshes they are inside."""
+    """True if rays refract into meshes; rays then store which meshes they are inside."""
     absorbs: bool
     """True if some mesh contains a medium that absorbs light."""
     has_coatings: bool
@@ -447,7 +447,7 @@ def samples_of(noise_sources: tuple[str, ...], scene: Scene) -> int:
 
 
 def has_rough_metal(scene: Scene) -> bool:
-    """Returns whether a scene has a rough metal, which shows only reflections, and an object for it to reflect."""
+    """Returns whether a scene has a rough metal, which shows only reflections, and an object that it can reflect."""
     rough = (
         isinstance(one, MaterialPbr) and one.metallic >= METAL_MIN and not one.is_smooth for one in materials_of(scene)
     )

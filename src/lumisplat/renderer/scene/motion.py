@@ -213,7 +213,7 @@ def write_motion(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> No
 class LightState:
     """A scene's light sources and reflecting objects, in a form that can be compared.
 
-    Arrays and materials are compared by identity, so both scenes must be alive.
+    Arrays and materials are compared by identity, so the scenes of both states must be alive.
     """
 
     sources: Sequence[object]

@@ -29,8 +29,8 @@ def shrink_nodes(
 ):
     """Per node of a BVH level: shrinks its boxes to the parts of Gaussians that block light in a stochastic sample.
 
-    A Gaussian blocks light where its alpha exceeds its random number. If the asset has several instances (``owners``),
-    the lowest random number of all instances counts; it gives the largest box.
+    A Gaussian blocks light where its alpha exceeds the Gaussian's random number. If the asset has several instances
+    (``owners``), the lowest random number of all instances counts; it gives the largest box.
     """
     n = node_first + start + wp.tid()
     view = settings[0]

@@ -22,7 +22,7 @@ from lumisplat.runtime.primitives import prefix_sum
 
 
 class SpecularWaves:
-    """Starts the rays of the next bounce, and adds their radiance to the rays that they branched off.
+    """Starts the rays of the next bounce, and adds the radiance of these rays to their parent rays.
 
     Args:
         launcher: Runs the kernels.

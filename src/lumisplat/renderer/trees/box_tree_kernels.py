@@ -49,7 +49,7 @@ def half_area(low: wp.vec3, high: wp.vec3) -> float:
 
 @wp.func
 def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, axis: int, middle2: float) -> int:
-    """Moves to the front the boxes, with their ``items``, whose doubled centre along ``axis`` is below ``middle2``.
+    """Moves boxes with their ``items`` to the front if their doubled centre along ``axis`` is below ``middle2``.
 
     Returns the index after these boxes.
     """
@@ -74,7 +74,7 @@ def split_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int
     """Splits a range of boxes in two at the lowest surface area cost (Wald 2007), and returns the split index.
 
     If all centres coincide, the split is in the middle. The code is not divided into functions, because its three loops
-    share the bins, which calls would copy.
+    share the bins, and calls would copy the bins.
     """
     center_low = wp.vec3(wp.inf)
     center_high = wp.vec3(-wp.inf)
