@@ -26,8 +26,8 @@ class FrameStats:
     visible_count: int
     """Number of Gaussians whose footprint touches the image. Only the rasteriser counts them."""
     nonfinite_count: int
-    """Number of Gaussians that the rasteriser dropped, plus samples left out of a pixel's mean, because of NaN or
-    infinite values."""
+    """Number of discarded items with NaN or infinite values: Gaussians that the rasteriser dropped, plus samples left
+    out of a pixel's mean."""
     pair_count: int
     """Number of pairs of a tile and a Gaussian that touches the tile. Only the rasteriser counts them."""
     triangle_count: int

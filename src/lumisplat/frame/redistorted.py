@@ -26,7 +26,8 @@ UNDISTORTED_AREA_MAX = 8.0
 ratio, most pinhole pixels would be wasted, and ray tracing is faster."""
 
 UNDISTORTED_SCALE_MAX = 2.0
-"""Largest ratio of the pinhole image's focal length to the camera's; it exceeds 1 where the lens magnifies the edges.
+"""Largest allowed ratio of the pinhole image's focal length to the camera's focal length; the ratio exceeds 1 where
+the lens magnifies the edges.
 """
 
 _Image = npt.NDArray[Any]

@@ -248,7 +248,7 @@ def region_of_casters(atlas: Atlas, casters: PlacedGaussians, tiles: IntArray) -
 def region_of_receivers(
     launcher: Launcher, atlas: Atlas, receivers: Receivers, rows: IntArray, sampling: FootprintSampling
 ) -> Region:
-    """Returns the texels and depth bins that shadow look-ups of the receivers with indices ``rows`` read."""
+    """Returns the texels and depth bins that are read when shadows of the receivers number ``rows`` are looked up."""
     buffers = Buffers(launcher.device)  # temporary arrays over all texels
     firsts = buffers.get("region.firsts", wp.int32, texel_count(atlas))
     lasts = buffers.get("region.lasts", wp.int32, texel_count(atlas))

@@ -71,7 +71,7 @@ def bound_cells(
     parents: wp.array[int],
     cells_out: wp.array[Cell],
 ):
-    """Per cell (square of ``side`` texels): bounds the light rays through it.
+    """Bounds the light rays through a cell (square of ``side`` texels). One thread per cell.
 
     ``corners`` holds face, column and row of each square's first texel, and ``parents`` the caster list of the larger
     square that contains it.

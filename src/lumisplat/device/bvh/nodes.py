@@ -240,7 +240,7 @@ def link_stack(storage: wp.ref[LinkStackStorage]) -> wp.array[WaitingLink]:
 
 @wp.func
 def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
-    """Pushes a node or leaf onto a single ray's stack as the next to visit, with entry distance -FAR: never skipped."""
+    """Pushes a node or leaf onto a single ray's stack as the next to visit; entry distance -FAR: it is not skipped."""
     waiting = WaitingLink()
     waiting.entry = -FAR
     waiting.link = link

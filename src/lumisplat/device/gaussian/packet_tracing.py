@@ -279,9 +279,10 @@ def ray_of(rays: RayData, i: int) -> Ray:
 
 @wp.func
 def surface_distance(scene: SceneBvh, ray: Ray, t_max: float, index: int, t: float) -> float:
-    """Returns the distance, at least 0, at which a ray meets the surface of Gaussian ``index``, hit at ``t``.
+    """Returns the distance, at least 0, at which a ray that hits Gaussian ``index`` meets the Gaussian's surface.
 
-    With HIT_HULL it is ``t``, else the peak of the Gaussian's response. ``index`` counts over all splat instances.
+    With HIT_HULL, it is the hit distance ``t``; otherwise, the peak of the Gaussian's response. ``index`` counts over
+    all splat instances.
     """
     instance = scene.instances[instance_of(scene.instances, index)]
     if instance.hit_distance == HIT_HULL:

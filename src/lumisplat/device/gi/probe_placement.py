@@ -94,7 +94,7 @@ class TileNeeds:
     """For each tile, how many pixels lie on no probe's surface, and where an adaptive probe would serve them."""
 
     uncovered: wp.array[int]
-    """Number of tested pixels of the tile whose surface has no probe in the surrounding tiles."""
+    """Number of tested pixels of the tile on whose surface no probe of the surrounding tiles lies."""
     pixel: wp.array[int]
     """Index of the pixel at which the tile's adaptive probe would be placed; -1: none needed."""
     source: wp.array[int]

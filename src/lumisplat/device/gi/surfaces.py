@@ -217,7 +217,7 @@ GONE = -2
 
 @wp.func
 def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
-    """Returns whether a pixel no longer shows the instance of its previous frame because that moved or was removed.
+    """Returns whether the instance that a pixel showed in the previous frame has left it: it moved or was removed.
 
     ``before`` is the index of this instance in the previous frame, splats first; -1: the background. ``now`` is the
     index of the instance that the pixel shows now. ``moved_to`` maps previous indices to current ones, or to
@@ -279,9 +279,10 @@ def mesh_before(
 
 @wp.func
 def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
-    """Projects a world-space point by a pinhole camera to x and y in pixels and its distance from the eye.
+    """Projects a point by a pinhole camera: returns x and y in pixels, and the distance from the eye to the point.
 
-    Pixel centres are at +0.5. The distance is 0 for a point that is not in front of the near plane.
+    ``position`` is in world space. Pixel centres are at +0.5. The distance is 0 for a point that is not in front of the
+    near plane.
     """
     from_eye = position - camera[0].eye
     view = wp.transpose(camera[0].world_from_camera) * from_eye

@@ -238,9 +238,9 @@ def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], fir
 
 @wp.func
 def shadow_begin(config: ShadowData, particle: Particle, instance: SplatInstanceData) -> float:
-    """Returns the shadow offset of a Gaussian, scene units: it casts no shadow on surfaces nearer than this distance.
+    """Returns the shadow offset of a Gaussian, scene units: the Gaussian does not shadow surfaces nearer than this.
 
-    If the surface's own offset is smaller, it applies instead.
+    A smaller shadow offset of the surface takes precedence.
     """
     return config.offset * instance.scale * particle.largest_scale + config.offset_absolute
 

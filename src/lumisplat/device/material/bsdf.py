@@ -344,7 +344,7 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
     """Returns the probability with which BSDF_PBR samples its highlight or, for rough glass, its microfacets.
 
-    It is their approximate fraction of the albedo; the diffuse lobe has the rest.
+    The probability is the approximate fraction that these contribute to the albedo; the diffuse lobe has the rest.
     """
     if transmits(bsdf):
         return glass_share(bsdf, cos_view)

@@ -283,7 +283,7 @@ def reflected_dot(
 # light, as at smooth surfaces.
 
 BEND_MIN = wp.constant(wp.float32(1e-3))
-"""Smallest difference from 1 of the ratio of indices that rough glass refracts by.
+"""The ratio of indices by which rough glass refracts differs from 1 by at least this.
 
 At a ratio of 1, the lobe would be a single direction."""
 

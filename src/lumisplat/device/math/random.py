@@ -1,10 +1,10 @@
 """Counter-based random numbers: a pure function of (pixel, sample, dimension, seed), identical on every device.
 
-Each step mixes a counter, adds it to the previous state, and mixes the sum, with the two-round permutation of 32 bits
-that the hash prospector finds least biased (https://github.com/skeeto/hash-prospector, [16 21f0aaad 15 d35a2d97 15]).
-A step is one-to-one in its counter, so that the samples of a pixel, the pixels of a sample and the dimensions of a key
-never share a word. Adding the counter without mixing it first would be cheaper, but counters that differ only in high
-bits would then give correlated words.
+Each step mixes a counter, adds the result to the previous state, and mixes the sum. Mixing is the two-round permutation
+of 32 bits that the hash prospector finds least biased (https://github.com/skeeto/hash-prospector,
+[16 21f0aaad 15 d35a2d97 15]). A step is one-to-one in its counter, so that the samples of a pixel, the pixels of a
+sample and the dimensions of a key never share a word. Adding the counter without mixing it first would be cheaper, but
+counters that differ only in high bits would then give correlated words.
 
 Bit operations are function calls instead of operators, so that the functions also run as plain Python.
 

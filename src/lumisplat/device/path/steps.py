@@ -41,7 +41,8 @@ class PathData:
     pdf: wp.array[float]
     """Pdf with which the BSDF sampled the ray's direction, per steradian, for MIS.
 
-    0: camera ray, or mirror reflection or refraction. LEAVES_CATCHER: the ray starts at a shadow catcher."""
+    0: the ray comes from the camera, from a mirror reflection or from a refraction. LEAVES_CATCHER: the ray starts at a
+    shadow catcher."""
     position: wp.array[wp.vec3]
     """World-space position of the surface at which the ray starts."""
     normal: wp.array[wp.vec3]

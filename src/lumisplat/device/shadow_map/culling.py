@@ -74,9 +74,9 @@ MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
 @wp.func
 def longer_axis(ellipsoid: wp.mat33, direction: wp.vec3) -> wp.vec3:
-    """Returns the unit vector along the longer axis of an ellipsoid's parallel shadow on a plane across ``direction``.
+    """Returns the longer axis, a unit vector, of the shadow of an ellipsoid on a plane orthogonal to ``direction``.
 
-    The columns of ``ellipsoid`` are the semi-axes.
+    The light is parallel to ``direction``. The columns of ``ellipsoid`` are the semi-axes.
     """
     u = around(direction, 0.0, 1.0, 0.0)
     v = wp.cross(direction, u)

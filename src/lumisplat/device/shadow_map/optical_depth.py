@@ -62,7 +62,7 @@ class DepthProfile:
 
 @struct
 class Column:
-    """The distance bins of one texel for which transmittances are stored."""
+    """The range of distance bins in which one texel stores transmittances."""
 
     first: int
     """Index of the first stored bin; nearer to the light, the texel is fully lit."""

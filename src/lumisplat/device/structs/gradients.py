@@ -35,8 +35,8 @@ class SplatGradient:
 class RaySplatGradient:
     """Gradient of the loss with respect to a Gaussian rasterised along pixel rays; 56 bytes.
 
-    It sums over the rays of one tile or of all pixels. p is the point of a ray that is nearest to the mean in canonical
-    space, and g the derivative of the loss with respect to log(alpha) of the ray. ``point``, ``squares`` and
+    The fields are sums over the rays of one tile or of all pixels. p is the point of a ray nearest to the mean in
+    canonical space, and g the derivative of the loss with respect to log(alpha) of the ray. ``point``, ``squares`` and
     ``products`` are the sums of g times the coordinates of p, their squares and their products.
     """
 
