@@ -40,7 +40,7 @@ Progress = Callable[[float], None]
 
 
 class _LoadOptions(NamedTuple):
-    """Options of `load` for single formats; readers of all other formats ignore them."""
+    """Options of `load` that apply to some formats only; the readers of other formats ignore them."""
 
     drop_invalid: bool
     """Whether the glTF and OpenUSD readers drop Gaussians with NaN or infinite values instead of refusing the file.
@@ -621,7 +621,7 @@ def _read_ply(path: Path, progress: Callable[[float], None] | None, *, incident:
 
 
 def holds_mesh(path: Path) -> bool:
-    """Returns whether a file is a mesh rather than a capture; False if it cannot be read.
+    """Returns whether a file is a mesh rather than a capture; False if the file cannot be read.
 
     Args:
         path: A ``.ply`` file.

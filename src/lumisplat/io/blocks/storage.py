@@ -49,7 +49,7 @@ _GAUSSIAN_FLOATS = 11
 """Number of floats in a stored row before the SH coefficients: mean, quaternion (wxyz), scales, opacity."""
 
 _COLUMNS = (slice(3), slice(3, 7), slice(7, 10), 10, slice(_GAUSSIAN_FLOATS, None))
-"""Columns of a stored row: 0 to 2 mean, 3 to 6 quaternion wxyz, 7 to 9 scales, 10 opacity, and the SH after them."""
+"""Columns of a stored row: 0 to 2 mean, 3 to 6 quaternion wxyz, 7 to 9 scales, 10 opacity, then the SH."""
 
 _CAPTURE_FILES = re.compile(r"cell[0-9_-]+\.part|\d{6,}(_\d+)?\.bin|\..*\.lumisplat(\.json)?")
 """Matches names of the files that an interrupted write may leave in the folder."""

@@ -234,7 +234,7 @@ def lumisplat_extras(item: Any) -> dict[str, Any] | None:
 
 
 def with_extras(item: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
-    """Returns a JSON object with ``stored`` as Lumisplat's settings in ``extras``, unless ``stored`` is empty."""
+    """Returns ``item`` with ``stored`` as Lumisplat's settings in ``extras``; unchanged if ``stored`` is empty."""
     return item | ({"extras": {EXTRAS_KEY: stored}} if stored else {})
 
 

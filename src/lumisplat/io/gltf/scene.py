@@ -121,7 +121,7 @@ def scene_of_nodes(
 
 
 def holds_one_capture(path: PathLike) -> bool:
-    """Returns whether a file contains one capture, in one node, and nothing else; False if it cannot be read."""
+    """Returns whether a file contains one capture, in one node, and nothing else; False if the file is unreadable."""
     try:
         with parsing(path, "a glTF file"):
             file = GltfFile(Path(path))

@@ -23,7 +23,7 @@ from lumisplat.io.images.exr import read_exr
 _MAGIC = 20000630
 _VERSION, _LONG_NAMES = 2, 0x400
 _SHORT_NAME = 31
-"""Largest length of a channel name in bytes for which OpenEXR needs no flag for long names."""
+"""Length in bytes of the longest channel name that OpenEXR stores without a flag for long names."""
 _BLOCK_ROWS = 16
 """Number of image rows that OpenEXR's ZIP method compresses together."""
 _ZIP = 3

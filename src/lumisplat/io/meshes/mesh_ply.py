@@ -149,7 +149,7 @@ def _polygons(lists: dict[str, PlyList]) -> PlyList | None:
 def _strip_triangles(strips: PlyList | None) -> npt.NDArray[np.int64]:
     """Returns the triangles of triangle strips as vertex indices, shape (triangles, 3).
 
-    A list holds one strip, or several strips separated by -1.
+    Each list in ``strips`` holds one strip, or several strips separated by -1.
     """
     if strips is None:
         return np.zeros((0, 3), np.int64)

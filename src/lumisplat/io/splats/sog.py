@@ -57,7 +57,7 @@ Bytes = npt.NDArray[np.uint8]
 Meta = dict[str, Any]
 
 LUMISPLAT_KEY = "lumisplat"
-"""Key in meta.json of Lumisplat's own metadata: up direction and first view."""
+"""Key under which meta.json holds Lumisplat's own metadata: up direction and first view."""
 
 _PALETTE_COLUMNS = 64
 """Number of SH palette entries side by side in the image of SH centroids; each entry has one pixel per coefficient."""

@@ -82,7 +82,7 @@ def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
 
 
 def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
-    """Returns the kernel degree that the last kernel_degree comment states, not range-checked; 2 without a comment."""
+    """Returns the kernel degree in the last comment ``lumisplat kernel_degree``, not range-checked; 2 without one."""
     degrees = [int(match[1]) for match in map(_KERNEL_DEGREE.fullmatch, comments) if match]
     return degrees[-1] if degrees else KERNEL_DEGREE
 
@@ -321,9 +321,9 @@ def _warn_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: S
 def _drop_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
     """Removes materials that an unknown trainer may have stored as logits instead of 0..1, and logs the reason.
 
-    Several trainers use Lumisplat's property names for values before their activation. In a file without
-    `LINEAR_COMMENT`, materials are accepted only if all properties are ones that Lumisplat writes, and all material
-    values are within 0..1.
+    Several trainers use Lumisplat's property names for values to which no activation function is applied yet. In a file
+    without `LINEAR_COMMENT`, materials are accepted only if all properties are ones that Lumisplat writes, and all
+    material values are within 0..1.
     """
     fields = [field for field in FIELDS[1:] if getattr(columns, field) is not None]
     if columns.material_columns is not LINEAR or not fields or has_linear_comment(header.comments):

@@ -321,7 +321,7 @@ def _lower_half(values: FloatArray) -> Flags:
 
 
 def _levels(gaussians: Gaussians, levels: int) -> Iterator[Gaussians]:
-    """Yields the Gaussians of a leaf at each level of detail, halved from level to level, at least one per level."""
+    """Yields the Gaussians of a leaf at each level of detail: half as many as at the level before, at least one."""
     yield gaussians
     for _ in range(levels - 1):
         gaussians = decimate(gaussians, max(1, gaussians.count // 2))
