@@ -391,7 +391,7 @@ class Renderer:
             self._unscented.begin_frame(camera)
 
     def _images(self, plan: FramePlan, camera: Camera, *, encodes: bool = False) -> dict[str, Any]:
-        """Returns the finished frame's images by field name; on CUDA, functions that return the images when called."""
+        """Returns the finished frame's images by field name; on CUDA, functions that download images when called."""
         with self._launcher.stage("download"):
             images = self._film.images(camera.exposure, self.config, encodes=encodes)
             if "lights" in plan.aovs:

@@ -16,7 +16,7 @@ _noise_log = logging.getLogger("lumisplat.noise")  # a separate logger, so that 
 
 
 class LightWarnings:
-    """Warns once each of lights with too few samples, missed noise levels, and refractive meshes that are open."""
+    """Warns of lights with too few samples, of missed noise levels, and of open refractive meshes: once of each."""
 
     def __init__(self) -> None:
         self._has_warned_of_noise = self._has_warned_of_noise_level = self._has_warned_of_media = False

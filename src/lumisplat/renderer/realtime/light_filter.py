@@ -65,7 +65,7 @@ class LightFilter:
         return now
 
     def _smooth(self, scene: DeviceScene, surfaces: PixelSurfaces, history: LightHistory) -> FilteredLight:
-        """Averages each pixel's light with neighbours', in passes whose pixel distance doubles (a-trous wavelets)."""
+        """Averages each pixel's light with its neighbours', in passes of doubling pixel distance (a-trous wavelets)."""
         light = FilteredLight()
         light.diffuse, light.glossy = history.diffuse, history.glossy
         light.variance = self._buffers.get("filter.variance", wp.vec2, len(history.frames))

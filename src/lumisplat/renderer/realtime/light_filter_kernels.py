@@ -1,7 +1,7 @@
 """Kernels of the light denoiser: they average light over frames, then over neighbouring pixels.
 
-The history of a pixel is its mean over earlier frames (Schied et al. 2017). The spatial passes are edge-avoiding
-wavelets (Dammertz et al. 2010) with weights of compact support (docs/method/realtime.md#filters).
+The history of a pixel is the mean of the pixel's light over earlier frames (Schied et al. 2017). The spatial passes are
+edge-avoiding wavelets (Dammertz et al. 2010) with weights of compact support (docs/method/realtime.md#filters).
 """
 
 import warp as wp
@@ -180,7 +180,7 @@ def history_of(
 
 @wp.func
 def with_sample(history: PixelHistory, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float) -> PixelHistory:
-    """Returns a history with one more frame's diffuse and glossy light; after ``frames_max`` frames, old ones fade."""
+    """Returns a history with one more frame's diffuse and glossy light; beyond ``frames_max``, old frames fade."""
     count = history.frames + 1.0
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
     moments = wp.vec4(bright[0], bright[0] * bright[0], bright[1], bright[1] * bright[1])

@@ -34,10 +34,10 @@ def list_surfaces(
     samples_out: CacheSamples,
     points_out: wp.array[wp.vec3],
 ):
-    """Per interaction: writes its surface as a query of the radiance cache, and a point in its plane to look up.
+    """Per interaction: writes its surface as a query of the radiance cache, and a point in the surface's plane.
 
-    The point is random within half of ``cell_size`` (the width of cells as a fraction of their distance). If
-    ``cell_size`` is 0, the point is the hit itself.
+    The cache is looked up at the point, which is random within half of ``cell_size`` (the width of cells as a fraction
+    of their distance). If ``cell_size`` is 0, the point is the hit itself.
     """
     j = start + wp.tid()
     ray = j % wave[0].rays.is_active.shape[0]

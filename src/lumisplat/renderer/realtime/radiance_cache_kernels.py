@@ -256,7 +256,8 @@ def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: w
 def near_rays(budget: int, near: int, far: int) -> int:
     """Returns how many of ``budget`` rays go to fine cells: at most one per cell.
 
-    The coarse cells get as many rays as they can use, but no more than half of the budget unless fine cells leave more.
+    Coarse cells get the rays that they can use, up to half of the budget. If fine cells cannot use the other half,
+    coarse cells may get rays from it, too.
     """
     return wp.min(near, wp.max(budget - RAYS_MAX * far, budget // 2))
 

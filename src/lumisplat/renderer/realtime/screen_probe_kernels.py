@@ -384,7 +384,7 @@ def project_probes(
         grids: Layout of the probes.
         probes: The probes.
         fit: Contribution of each cell to the SH coefficients.
-        beyond: Contribution of each cell to the irradiance that the SH degree cannot represent, by surface normal.
+        beyond: By surface normal, the contribution of each cell to the irradiance that the SH degree cannot represent.
         weights: Weights of the cells; 0: empty.
         light_inout: Radiance of the cells; receives the SH coefficients.
     """

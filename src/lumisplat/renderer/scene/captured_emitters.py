@@ -142,7 +142,7 @@ def is_separate_emitter(instance: SplatInstance, bounds: Doubles, receivers: Dou
 
 
 def boxes_of(gaussians: Gaussians) -> Boxes:
-    """Returns boxes around parts of a capture; the first box encloses all of it, so that no direction is left out.
+    """Returns boxes around parts of a capture; the first encloses the whole capture, so that no direction is left out.
 
     The part with the largest luminance times area is split first, at the median of its power.
     """

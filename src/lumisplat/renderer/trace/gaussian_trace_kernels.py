@@ -52,8 +52,8 @@ from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData
 wp.set_module_options(PACKET_OPTIONS)
 
 TRACE_THREADS = 128
-"""CUDA threads per block. With four blocks at once, each thread has 128 registers. The kernel would use twice as many,
-but more threads hide more latency (H200, a million Gaussians: 86 ms instead of 103)."""
+"""CUDA threads per block. With four blocks at once, each thread has 128 registers. The kernel would use twice as many
+registers, but more threads hide more latency (H200, a million Gaussians: 86 ms instead of 103)."""
 
 
 @functools.cache

@@ -75,7 +75,7 @@ class BoxTree:
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
         self.levels: list[tuple[int, int]] = []
-        """Index of the first node, and number of nodes, of each level, beginning with the roots."""
+        """For each level, beginning with the roots: index of the level's first node, and number of its nodes."""
         self.stack_size = 1
         """Largest number of nodes on the stack of a traversal that may visit children in any order."""
         self.build = -1

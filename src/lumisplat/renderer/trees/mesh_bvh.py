@@ -127,7 +127,7 @@ class MeshBvhScene:
         self._trees = used
 
     def _tree_over(self, before: HostBoxTree | None) -> HostBoxTree:
-        """Returns the BVH over the instances: ``before``, refitted, unless its surface area has grown too much."""
+        """Returns the BVH over the instances: ``before`` refitted, or a new one if surface area has grown too much."""
         low, high = self.boxes.low, self.boxes.high
         if before is not None and len(before.order) == len(low):
             before.refit(low, high)
