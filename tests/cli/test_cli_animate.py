@@ -376,7 +376,7 @@ def test_animate_does_not_log_relit_actors_with_an_albedo_as_unlit(work, caplog)
         caplog.clear()
         done = work.run("animate", "@found.toml", "-o", f"@found{count}", "--frames", "0", "--device", "cpu")
         assert done.status == 0, done.err
-        assert caplog.text.count("captures with an albedo stay unlit") == count
+        assert caplog.text.count("captures without a material stay as captured") == count
 
 
 def test_animate_accepts_an_unlit_capture_that_does_not_surround_the_actors(work, caplog) -> None:

@@ -240,7 +240,7 @@ def test_fit_command_reports_mistakes_of_the_user_in_one_line(work, arguments, m
 def test_help_of_the_fit_command_states_how_long_a_fit_takes(work):
     """The help also states the time with ``--positions``."""
     text = " ".join(work.run("fit", "--help").out.replace("│", " ").split())
-    assert "half a minute on a CPU core, and with --positions four" in text
+    assert "half a minute on one CPU core, and four minutes with --positions" in text
     assert "directions of spots and suns; takes minutes" in text
 
 

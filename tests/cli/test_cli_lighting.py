@@ -443,7 +443,7 @@ def test_info_prints_no_bounds_for_a_scene_that_has_only_lights(work):
     """A scene without objects gives no error; materials print emission."""
     work.path("lamp.toml").write_text('[[lights]]\ntype = "sphere"\nposition = [0, 0, 1]\nradius = 0.5\n')
     shown = " ".join(work.run("info", "@lamp.toml").out.split())
-    assert "sphere 1 cd/m2 at (0, 0, 1) radius 0.5" in shown and "bounds" not in shown
+    assert "sphere 1 cd/m2 at (0, 0, 1) radius 0.5" in shown and " bounds " not in shown
     work.path("glow.toml").write_text(
         '[[meshes]]\npath = "mesh.obj"\nmaterial = { emissive = 2 }\n'
         '[[splats]]\npath = "capture.ply"\nshadow_catcher = true\nmaterial = "dull"\n'

@@ -19,9 +19,9 @@ def doubled(x):
 '''
 
 
-def test_key_of_stored_oracle_results_ignores_docstrings_imports_and_formatting() -> None:
-    """Edits of docstrings, comments, imports and formatting leave an oracle's code as it was."""
-    bare = "FACTOR=2.0\ndef doubled(x):\n  return (FACTOR*x+double(0))"
+def test_key_of_stored_oracle_results_ignores_docstrings_package_imports_and_formatting() -> None:
+    """Edits of docstrings, comments, imports from the package and formatting leave an oracle's code as it was."""
+    bare = "import numpy as np\nFACTOR=2.0\ndef doubled(x):\n  return (FACTOR*x+double(0))"
     edited = (
         SOURCE.replace("Returns twice", "Gives 2").replace("Exact", "An even number").replace("# never", "# is not")
     )
@@ -29,6 +29,6 @@ def test_key_of_stored_oracle_results_ignores_docstrings_imports_and_formatting(
 
 
 def test_key_of_stored_oracle_results_changes_if_the_code_is_edited() -> None:
-    """A different constant, operator or name makes the stored results stale."""
-    for old, new in (("2.0", "3.0"), ("* x", "/ x"), ("def doubled", "def twice")):
+    """A different constant, operator, name or import of another package makes the stored results stale."""
+    for old, new in (("import numpy", "import cupy"), ("2.0", "3.0"), ("* x", "/ x"), ("def doubled", "def twice")):
         assert code_of(SOURCE.replace(old, new)) != code_of(SOURCE)

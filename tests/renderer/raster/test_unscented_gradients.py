@@ -215,5 +215,5 @@ def test_unscented_gradients_of_features_or_several_samples_are_refused() -> Non
         renderer.render(scene, camera, resume=frame)
     with pytest.raises(ls.ConfigError, match="one sample per pixel"):
         ls.DifferentiableRenderer(replace(config_of(), samples=4), "cpu")
-    with pytest.raises(ls.ConfigError, match=r"or Projection\.UNSCENTED$"):
+    with pytest.raises(ls.ConfigError, match=r"projection=Projection\.UNSCENTED\)\)$"):
         ls.DifferentiableRenderer(device="cpu").render(scene, VIEWS["barrel"])

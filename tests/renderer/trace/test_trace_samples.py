@@ -191,7 +191,7 @@ def test_resuming_a_frame_of_another_size_background_or_scene_is_refused() -> No
     count = scene().gaussian_count, other.gaussian_count
     assert scene().meshes
     with pytest.raises(
-        ls.ConfigError, match=rf"another scene: it has {count[0]} .* triangles, this one {count[1]} and 0$"
+        ls.ConfigError, match=rf"another scene: it has {count[0]} .* triangles, the given scene {count[1]} and 0$"
     ):
         renderer("cpu").render(other, view(), resume=frame)
     with pytest.raises(ls.ConfigError, match=r"sorted rasteriser cannot be resumed"):
