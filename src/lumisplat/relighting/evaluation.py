@@ -81,10 +81,10 @@ class RelightableSet:
         return cls(root, views, layers, unseen, _specular(root / "set.json"))
 
     def region(self, view: TrainingImage) -> Flags:
-        """Returns a mask, (H, W), of the pixels that the object covers by at least half; all True without an alpha.
+        """Returns a mask, (H, W), of the pixels whose alpha and mask are at least 0.5; all True if a view has neither.
 
         Raises:
-            FormatError: The object covers no pixel.
+            FormatError: The mask is empty.
         """
         shares = [share for share in (view.alpha(), view.mask()) if share is not None]
         inside = np.ones((view.camera.height, view.camera.width), np.bool_)

@@ -30,7 +30,7 @@ NEIGHBOURS = 12
 """Approximate number of nearby Gaussians over which traced irradiance is averaged to reduce its noise."""
 
 NORMAL_SHARPNESS = 8
-"""Exponent of the cosine between two Gaussians' normals in the weight with which their irradiances are averaged."""
+"""Weight with which irradiances of two Gaussians are averaged: the cosine between their normals to this power."""
 
 
 def neighbours_of(gaussians: Gaussians) -> Pairs:
@@ -42,8 +42,9 @@ def neighbours_of(gaussians: Gaussians) -> Pairs:
 def normal_variances(gaussians: Gaussians, normals: Doubles, near: Pairs) -> Doubles:
     """Returns the variance of the surface's normal within the extent of each of N Gaussians, radians^2, shape (N,).
 
-    It is the mean squared change of the normal over neighbours, per squared distance, times the mean square of the
-    Gaussian's two larger scales; neighbours with opposite normals are ignored. 0: the Gaussian has no neighbours.
+    The variance is the product of two factors: the normal's mean squared change over neighbours per squared distance,
+    and the mean square of the Gaussian's two larger scales. Neighbours with opposite normals are ignored. A Gaussian
+    without neighbours has variance 0.
     """
     first, second = (rows[near.first != near.second] for rows in (near.first, near.second))
     apart = np.square(gaussians.means[first].astype(np.float64) - gaussians.means[second]).sum(axis=1)
@@ -59,16 +60,17 @@ Values = TypeVar("Values", FloatArray, Doubles)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoother:
-    """Averages per-Gaussian values over neighbours with similar normals; emitters and non-emitters are kept apart."""
+    """Averages per-Gaussian values over neighbours with similar normals; emitters and other Gaussians do not mix."""
 
     near: Pairs
     weights: Doubles
-    """Weight of each pair of neighbours, shape of ``near.first``; the weights of one first Gaussian's pairs sum to 1.
+    """Weight of each pair of neighbours, with the shape of ``near.first``; over all pairs with one ``first``, the sum
+    is 1.
     """
 
     @staticmethod
     def of(near: Pairs, normals: Doubles, emitters: Rows) -> Smoother:
-        """Computes the weights of pairs ``near`` from N normals, and N emitter indices, -1 for Gaussians of none."""
+        """Computes the weights of the pairs ``near`` from N normals and the Gaussians' emitter indices, -1 for none."""
         weights = np.maximum(np.einsum("ij,ij->i", normals[near.first], normals[near.second]), 0.0) ** NORMAL_SHARPNESS
         weights[(emitters[near.first] >= 0) != (emitters[near.second] >= 0)] = 0.0
         return Smoother(near, weights / np.bincount(near.first, weights, len(normals))[near.first])
@@ -88,41 +90,44 @@ class Smoother:
 
 
 SIDE_DIRECTIONS = 26
-"""Number of directions over the sphere in which rays test on which of its two sides each Gaussian was seen."""
+"""Number of directions over the sphere in which rays are traced to find from which of its two sides each Gaussian was
+seen."""
 
 SIDE_ENCLOSED = 0.1
-"""Fraction of Gaussians from which rays escape on neither side, above which a capture counts as taken from inside a
-room."""
+"""A capture counts as taken from inside a room if rays escape on neither side from more than this fraction of its
+Gaussians."""
 
 OPENNESS_MIN = 0.1
-"""Smallest fraction of the rays on a Gaussian's side that leave the capture for the side to be open. Trained walls let
-2 to 6 % of the rays through. In captured rooms, 36 to 63 % of the Gaussians have less on both sides; in captured
-objects, at most 0.2 %."""
+"""Smallest fraction of the rays on a Gaussian's side that must leave the capture for the side to be open. Trained
+walls let 2 to 6 % of the rays through. The fraction is smaller on both sides of 36 to 63 % of the Gaussians in captured
+rooms, and of at most 0.2 % in captured objects."""
 
 OPENNESS_ENOUGH = 0.2
-"""Fraction of a side's rays that escape, from which more escaping rays do not make it likelier to be the visible side.
+"""Fraction of escaping rays at which a side is surely open: a larger fraction does not make the side likelier to be
+the visible one.
 """
 
 SIDE_FAR = 0.02
-"""Mean distance to the hits of a side's rays, relative to the capture's extent, above which the side faces free space
-and not the inside of a solid."""
+"""A side faces free space, and not the inside of a solid, if the mean distance to its rays' hits, relative to the
+capture's extent, is above this."""
 
 CONTENT_SCALE = 0.003
-"""Difference of the two sides' mean hit distances, relative to the capture's extent, that gives a vote of 0.5 for the
-farther side: ``vote = difference / (|difference| + CONTENT_SCALE)``."""
+"""Difference between the mean hit distances of two sides, relative to the capture's extent, at which the vote for the
+farther side is 0.5: ``vote = difference / (|difference| + CONTENT_SCALE)``."""
 
 SIDE_STIFFNESS = 5.0
-"""Weight of the agreement of neighbouring Gaussians on their visible sides, relative to the weight of their own votes.
+"""Weight of the term that makes neighbouring Gaussians agree on their visible sides; each Gaussian's own vote has
+weight 1.
 """
 
 SIDE_SHARPNESS = 4
-"""Exponent of the cosine between two neighbours' axes, in the weight of the agreement on their visible sides."""
+"""Exponent of the cosine between two neighbours' axes in the weight with which the two agree on their visible sides."""
 
 SIDE_STEPS = 300
 """Maximum number of conjugate gradient steps that find the visible sides."""
 
 SIDE_ERROR = 1e-6
-"""Root mean square residual at which the conjugate gradients for visible sides end; only signs of the solution are
+"""Root mean square residual at which the conjugate gradients for visible sides end; of the solution only the signs are
 used.
 """
 
@@ -130,7 +135,7 @@ SURFACE_SPREAD = 0.5
 """Standard deviation of sampled ray origins on a Gaussian, in units of the Gaussian's own standard deviations."""
 
 EMITTER_POINTS = 24
-"""Number of points sampled on each emitter, towards which shadow rays are traced."""
+"""Number of points sampled on each emitter as the targets of shadow rays."""
 
 
 class SurfacePoints:
@@ -147,7 +152,7 @@ class SurfacePoints:
         self._rng = np.random.default_rng([seed, 9])
 
     def at(self, rows: Rows, normals: Doubles) -> FloatArray:
-        """Samples one point on each of the R Gaussians ``rows`` with unit ``normals``, (R, 3); returns shape (R, 3)."""
+        """Samples one point on each of the R Gaussians ``rows``, whose unit normals are ``normals``; returns (R, 3)."""
         point = SURFACE_SPREAD * self._rng.standard_normal((len(rows), 3))
         slope = np.einsum("ijk,ij->ik", self._axes[rows], normals) / self._scales[rows]
         along = np.einsum("ij,ij->i", point, slope) / np.einsum("ij,ij->i", slope, slope)
@@ -156,7 +161,7 @@ class SurfacePoints:
 
 
 def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
-    """Chooses the visible side of N axes: signs, (N,), that follow strong votes, or neighbours where votes are weak.
+    """Chooses the visible sides of N axes: signs, (N,), by strong votes, or by neighbours where votes are weak.
 
     The signs s minimise ``sum c_i (s_i - sign v_i)^2 + sum w_ij (s_i - sign(a_i a_j) s_j)^2 / 2`` with votes v, axes a
     and ``c_i = |v_i|``, by conjugate gradients. Votes thus spread along surfaces, however far the next strong vote is.
@@ -178,7 +183,7 @@ def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
 
 
 class IncidentRays:
-    """Traces rays from the N Gaussians of a capture through the capture, to gather the light that arrives at them.
+    """Traces rays from the N Gaussians of a capture into the capture, to gather the light that reaches them.
 
     Args:
         capture: The capture.
@@ -206,9 +211,9 @@ class IncidentRays:
     def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, has_normals: bool) -> tuple[Doubles, bool]:
         """Returns normals towards the visible side of each Gaussian, and whether the capture was taken from inside.
 
-        For an object, the visible side is the one from which rays escape; if rays escape from both sides, as from a
-        floor, it is the side whose rays hit more of the capture, farther away. For a room, it is that side always,
-        because nothing is behind the walls.
+        For an object, the visible side is the one from which rays escape. If rays escape from both sides, as from a
+        floor, it is the side whose rays hit more of the capture, farther away. For a room, the visible side is always
+        the one whose rays hit more, because nothing is behind the walls.
 
         Args:
             axes: Unit axes of arbitrary sign, shape (N, 3).
@@ -249,14 +254,13 @@ class IncidentRays:
     def incident(
         self, normals: Doubles, emitters: Rows, cells: EnvironmentCells, *, stores_directions: bool = False
     ) -> Irradiance:
-        """Traces one ray per Gaussian and environment cell; returns the irradiance on the side of the normals.
+        """Traces one ray per Gaussian and environment cell; returns the irradiance on the side to which normals point.
 
         Args:
             normals: Unit normals, shape (N, 3).
             emitters: Index of the emitter to which each Gaussian belongs, -1 for none, shape (N,).
             cells: Environment cells over the sphere.
-            stores_directions: Whether to also store the irradiance from the capture separately for each cell's
-                direction.
+            stores_directions: Whether to store the irradiance from the capture by direction, too: one entry per cell.
         """
         by_direction = np.zeros((len(cells) if stores_directions else 0, len(normals), 3), np.float16)
         observed, environment = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
@@ -283,7 +287,7 @@ class IncidentRays:
         return Irradiance(observed, environment, shares.astype(np.float32), directions, by_direction)
 
     def from_environment(self, normals: Doubles, cells: EnvironmentCells) -> FloatArray:
-        """Returns irradiance / pi of N Gaussians from each of K environment cells of radiance 1, with shadows.
+        """Returns irradiance / pi at N Gaussians from each of K environment cells with radiance 1, with shadows.
 
         Returns:
             Float32 irradiances over pi, shape (N, K).
@@ -303,8 +307,8 @@ class IncidentRays:
         """Samples for each Gaussian one direction within environment cell number ``cell``.
 
         Returns:
-            Indices of the R Gaussians whose normal faces the direction, the directions, shape (R, 3), and their
-            irradiances over pi if the cell has radiance 1, shape (R,).
+            Indices of the R Gaussians whose normal faces the direction; the directions, shape (R, 3); and the
+            irradiances over pi that these Gaussians receive from the cell at radiance 1, shape (R,).
         """
         directions = cells.directions_within(cell, len(normals), self._rng)
         cosines = np.einsum("ij,ij->i", normals, directions)
@@ -312,10 +316,10 @@ class IncidentRays:
         return rows, directions[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
 
     def _from_emitter(self, normals: Doubles, members: Rows) -> Doubles:
-        """Returns irradiance / pi from the emitter Gaussians ``members`` of radiance 1, up to a common factor, (N,).
+        """Returns irradiance / pi at N Gaussians from an emitter of radiance 1, up to a common factor, shape (N,).
 
-        The emitter's Gaussians overlap, so the sum of their areas is too large; `incident` corrects it by the rays that
-        hit the emitter.
+        The emitter consists of the Gaussians ``members``. They overlap, so the sum of their areas is too large;
+        `incident` corrects the result by the rays that hit the emitter.
         """
         scales = np.sort(self._capture.scales[members].astype(np.float64), axis=1)
         area = np.pi * (scales[:, 1] * scales[:, 2] * self._capture.opacities[members])
@@ -332,7 +336,7 @@ class IncidentRays:
         return found * (area.sum() / (np.pi * EMITTER_POINTS))
 
     def _trace(self, rows: Rows, normals: Doubles, directions: Doubles) -> RayHits:
-        """Traces one ray from each of the Gaussians ``rows``, starting on its normal's side; returns the rays' hits."""
+        """Traces one ray from each of the Gaussians ``rows``, starting on the normal's side; returns the rays' hits."""
         points = self._points.at(rows, normals)
         return self._renderer.leaving_hits(self._scene, points, directions.astype(np.float32), self._offsets[rows])
 

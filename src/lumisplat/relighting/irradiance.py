@@ -19,20 +19,21 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
 
 ALPHA_LEAST = 1e-6
-"""Lower bound of a ray's alpha, by which its alpha-weighted colour is divided."""
+"""Lower bound of a ray's alpha where the ray's alpha-weighted colour is divided by it."""
 
 VIEW_DIRECTIONS = 16
 """Number of view directions over which the median of a Gaussian's colour is taken."""
 
 VIEW_TILT = 0.5
-"""Weight of the normal that is added to each unit view direction: SH colours at grazing angles are unreliable."""
+"""Multiple of the unit normal that is added to each unit view direction: SH colours at grazing angles are unreliable.
+"""
 
 ALBEDO_HIGH = 0.8
 """Assumed albedo of the lightest surfaces in their largest channel, which fixes the scale of estimated light."""
 
 UNIT_IRRADIANCE_MIN = 0.05
-"""Smallest irradiance from environment and emitters with radiance 1, relative to the median, at which a Gaussian is
-used to estimate their radiance."""
+"""A Gaussian is used to estimate the radiance of environment and emitters only if its irradiance from them, at
+radiance 1 and relative to the median, is above this."""
 
 UNSEEN_RADIANCE_MIN = 0.05
 """Lower bound of the initial radiance of environment and emitters, in units of display white."""
@@ -41,14 +42,15 @@ LIGHTEST = 0.95
 """Quantile of the Gaussians' albedos that is scaled to `ALBEDO_HIGH`."""
 
 SCALE_STEPS = 5
-"""Number of fixed-point iterations for the scale of the light; several, because irradiance from the capture itself
-does not scale with it."""
+"""Number of fixed-point iterations for the scale of the light. One is not enough, because irradiance from the capture
+itself does not grow with this scale."""
 
 OUTGOING_DIRECTIONS = 64
 """Number of view directions, evenly over the sphere, over which the mean of a Gaussian's colour is taken."""
 
 OUTGOING_COSINE = 0.3
-"""Smallest cosine between a Gaussian's normal and a view that enters the mean colour: SH extrapolate at grazing views.
+"""Smallest cosine between a Gaussian's normal and a view direction at which the view enters the mean colour: SH
+extrapolate at grazing views.
 """
 
 HalfArray = npt.NDArray[np.float16]
@@ -58,20 +60,21 @@ HalfArray = npt.NDArray[np.float16]
 class Irradiance:
     """Irradiance over pi at N Gaussians, split by source: capture, environment cells and emitters.
 
-    This is the radiance of a white diffuse surface there: linear, in units of display white.
+    Irradiance over pi is the radiance of a white diffuse surface: linear, in units of display white.
     """
 
     observed: Doubles
     """Irradiance over pi from the Gaussians of the capture, without its emitters, linear, shape (N, 3)."""
     environment: FloatArray
-    """Irradiance over pi from each of K environment cells if its radiance were 1, shape (N, K)."""
+    """Irradiance over pi that each of K environment cells would give with radiance 1, shape (N, K)."""
     emitters: FloatArray
-    """Irradiance over pi from each of L emitters if its radiance were 1, shape (N, L)."""
+    """Irradiance over pi that each of L emitters would give with radiance 1, shape (N, L)."""
     directions: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
-    """The W unit directions of ``by_direction``, world space, shape (W, 3); W is 0 if it was not stored."""
+    """The W unit directions of ``by_direction``, world space, shape (W, 3); W is 0 if ``by_direction`` is not stored.
+    """
     by_direction: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
-    """Summands of ``observed`` by the direction from which the light arrives, one of ``directions`` each, shape (W, N,
-    3)."""
+    """Parts of ``observed`` by direction of arrival: row w is the part from the direction ``directions[w]``, shape (W,
+    N, 3)."""
 
     def total(self, environment: Doubles | FloatArray, emitters: Doubles) -> Doubles:
         """Returns the total irradiance over pi of N Gaussians for given radiances, shape (N, 3).
@@ -123,17 +126,20 @@ def mean_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def hit_radiance(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Doubles:
-    """Returns the linear radiance of the surfaces that N rays hit, as if each were opaque, shape (N, 3).
+    """Returns the linear radiance of the surfaces that N rays hit, as if each surface were opaque, shape (N, 3).
 
     Args:
         hits: Hits with display-referred colours weighted by alpha.
-        alpha: Alpha of each ray, by which its colour is divided, shape (N,).
+        alpha: Alpha of each ray, by which the ray's colour is divided, shape (N,).
     """
     return decode_srgb(np.clip(hits.radiance / np.maximum(alpha, ALPHA_LEAST)[:, None], 0.0, 1.0))
 
 
 def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Returns linear radiance of N Gaussians towards M views on the normal's side, tilted to the normal, (M, N, 3)."""
+    """Returns N Gaussians' linear radiance towards M views on the side of the normal, (M, N, 3).
+
+    The views are tilted towards the normal.
+    """
     radiances: list[FloatArray] = []
     for direction in even_directions(VIEW_DIRECTIONS):
         view = np.where(normals @ direction > 0.0, 1.0, -1.0)[:, None] * direction + VIEW_TILT * normals
@@ -143,14 +149,14 @@ def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def unit_irradiance(incident: Irradiance) -> Doubles:
-    """Returns irradiance / pi of N Gaussians from environment and emitters, if all of these had radiance 1, (N,)."""
+    """Returns the irradiance / pi that environment and emitters would give at N Gaussians with radiance 1, (N,)."""
     return incident.environment.sum(axis=1, dtype=np.float64) + incident.emitters.sum(axis=1, dtype=np.float64)
 
 
 def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> float:
     """Estimates one radiance for environment and emitters that gives the lightest surfaces an albedo of 0.8.
 
-    It is 1 if hardly any light of environment and emitters reaches a Gaussian.
+    The radiance is 1 if hardly any light of environment and emitters reaches a Gaussian.
 
     Args:
         outgoing: Outgoing radiance of N Gaussians, shape (N, 3).
@@ -166,7 +172,7 @@ def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles)
 
 
 def chroma_similarity(differences: Doubles, width: float) -> Doubles:
-    """Returns for P pairs of surfaces the likelihood that both have one albedo, by chromaticity, 0..1, shape (P, 1).
+    """Returns for P pairs the likelihood, 0..1, that both surfaces have one albedo, by chromaticity, shape (P, 1).
 
     Args:
         differences: Differences of the logarithms of the pairs' albedos, shape (P, 3).
@@ -179,9 +185,9 @@ def chroma_similarity(differences: Doubles, width: float) -> Doubles:
 def typical_albedo_factor(outgoing: Doubles, observed: Doubles, added: Doubles, weights: Doubles) -> float:
     """Returns the factor on the light of environment and emitters that brings the lightest albedos to 0.8.
 
-    Irradiance from the capture itself is not scaled, so the factor is found in fixed-point steps. Each step closes the
-    gap by the light's fraction of the irradiance. Where Gaussians are mainly lit by each other, the lightest albedos
-    end up between their first and the typical value.
+    Irradiance from the capture itself is not scaled, so the factor is found in fixed-point steps. Each step closes only
+    the fraction of the gap that the scaled light has in the irradiance. If Gaussians are mainly lit by each other, the
+    lightest albedos therefore end up between their initial value and 0.8.
 
     Args:
         outgoing: Outgoing radiance of N Gaussians, shape (N, 3).

@@ -1,4 +1,4 @@
-"""Estimates the local lights of a capture: bright Gaussians that stand out, and whose light surfaces show.
+"""Estimates the local lights of a capture: bright Gaussians that stand out, and whose light is visible on surfaces.
 
 Mir et al. (2026, section 3.1) name the cues without formulas. Ours are in docs/method/relighting.md#light-estimation,
 and docs/adr/0014-lights-from-bright-gaussians.md has the reasons.
@@ -30,16 +30,16 @@ from lumisplat.scene.scene import Scene, SplatInstance
 # Light estimation (Mir et al. 2026, section 3.1, gives no figures; docs/adr/0014)
 
 LIGHT_SEARCH_STRAYS = 0.02
-"""Fraction of the Gaussians, those farthest from the character to be lit, that the measured size of the scene ignores:
-captures have floaters far outside."""
+"""Fraction of Gaussians that are ignored when the size of the scene is measured: those farthest from the character to
+be lit, because captures have floaters far outside."""
 
 LIGHT_SEARCH_REACH = 1.5
 """Radius of the search for lights around the character to be lit, relative to the scene's size (`capture_extent`):
 above 1, because lights hang at the scene's rim."""
 
 LIGHT_SEARCH_VIEWPOINTS = 0.1
-"""Distance from the character to be lit of four of the five viewpoints in which Gaussians are evaluated, relative to
-the scene's size: a person's width in a room of 3 m."""
+"""Gaussians are evaluated from the character to be lit and from four viewpoints at this distance from the character.
+Unit: the scene's size; in a room of 3 m, the distance is a person's width."""
 
 LIGHT_SEARCH_EMITTER = 1.0 / 12.0
 """Default largest size of a light source, relative to the scene's size: a lamp of 25 cm in a room of 3 m."""
@@ -48,40 +48,40 @@ LIGHT_SEARCH_SEPARATION = 3.0
 """Default smallest distance between two estimated lights, in units of the largest size of a light source."""
 
 LIGHT_SEARCH_CLIP = 0.99
-"""Quantile of the Gaussians' mean luminance from which larger luminance is compressed to its logarithm: single
-Gaussians of captures are a hundred times too bright."""
+"""Quantile of the Gaussians' mean luminance above which luminance grows only logarithmically: single Gaussians of
+captures are a hundred times too bright."""
 
 LIGHT_SEARCH_PRIOR = 4.0
-"""Number of virtual Gaussians with the median squared score added to each octant around a candidate light, so that one
-outlier does not decide the octant's mean.
+"""Number of virtual Gaussians, with the median squared score, added to each octant around a candidate light. They keep
+a single outlier from deciding the octant's mean.
 """
 
 LIGHT_SEARCH_BROAD = 0.05
-"""Lower bound of the contrast, 1 - score around a candidate light / its own score, that multiplies the candidate's
-score."""
+"""Lower bound of a candidate's contrast, by which its score is multiplied. Contrast: 1 - (score of the surroundings) /
+(score of the candidate)."""
 
 # Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
 TRACE_NEAREST = 2.0
-"""Distance from a candidate light, in sizes of a light source, within which surfaces do not count as lit by it: a
-bright patch is bright around itself. Six alternative positions of the light are tested at this distance, too."""
+"""Surfaces nearer to a candidate light than this, in sizes of a light source, do not count as lit by the candidate: a
+bright patch is bright around itself. Six alternative positions of the light are tested at the same distance."""
 
 TRACE_CASING = 1.5
-"""Last stretch of a shadow ray before a candidate light, in sizes of a light source, on which voxels, such as those of
-a lampshade, do not block it.
+"""Length, in sizes of a light source, of the last part of a shadow ray before a candidate light. Voxels there, such as
+those of a lampshade, do not block the ray.
 """
 
 LIGHT_SIGNIFICANCE = 4.0
-"""Smallest ratio of the regression coefficient of a candidate's irradiance to its standard error for the candidate to
-be a light. By chance, one of 64 candidates reaches it in one capture of 500."""
+"""A candidate can be a light only if the regression coefficient of its irradiance is at least this many standard
+errors. By chance, one of 64 candidates reaches this value in one capture of 500."""
 
 LIGHT_DOUBT = 2.0
-"""Factor on the luminance variance that a candidate light must explain if it is level with or below the character to
-be lit, or hardly brighter than its surroundings."""
+"""Factor on the luminance variance that a doubtful candidate must explain. A candidate is doubtful if it is hardly
+brighter than its surroundings, or not higher than the character to be lit."""
 
 LIGHT_ELSEWHERE = 0.6
-"""Smallest ratio of the luminance variance that a light explains to the largest that a light at six positions beside
-it explains: shading is strongest around the true source."""
+"""A light must explain at least this fraction of the luminance variance that the best of six lights beside it would
+explain: shading is strongest around the true source."""
 
 LIGHT_CANDIDATES = 64
 """Maximum number of bright Gaussians, those with the highest scores, that are tested as light positions."""
@@ -99,15 +99,16 @@ class LightEstimate:
     scores: FloatArray
     """Score of each light: brightness, constancy over views and opacity of its Gaussian, times contrast, shape (k,)."""
     peakness: FloatArray
-    """Ratio of the score of each light's Gaussian to the root mean square score of the Gaussians around it in the
-    brightest octant, shape (k,): above 1 for a light that is brighter than its surroundings."""
+    """Ratio of the score of each light's Gaussian to the score of its surroundings, shape (k,): above 1 for a light
+    that is brighter than these. The score of surroundings is the root mean square over Gaussians in their brightest
+    octant."""
     instances: Rows
     """Index of the scene's splat instance to which each light's Gaussian belongs, shape (k,)."""
     indices: Rows
-    """Index, within its splat instance, of the Gaussian at which each light is, shape (k,)."""
+    """Index of the Gaussian at each light's position, counted within its splat instance, shape (k,)."""
     evidence: FloatArray
-    """Fraction of the luminance variance, left by earlier lights and a smooth environment, that each light explains,
-    (k,); 0 if ``config.evidence`` is 0, which skips the test."""
+    """Fraction that each light explains of the luminance variance left by a smooth environment and earlier lights,
+    shape (k,); 0 if ``config.evidence`` is 0, which skips the test."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +116,13 @@ class _Sizes:
     """Distances of the light search, scene units: from `LightEstimationConfig`, else multiples of the scene's size."""
 
     extent: float
-    """Configured search radius, else the distance from the centre of the character to be lit within which 98 % of the
-    capture's means lie."""
+    """Radius that counts as the scene's size. It is configured, or else the distance from the centre of the character
+    to be lit within which 98 % of the capture's means lie."""
     radius: float
     """Radius around the centre of the character to be lit within which Gaussians may be lights."""
     viewpoints: float
-    """Distance from the centre of the character to be lit to the four outer viewpoints, from which Gaussians are
-    evaluated."""
+    """Distance from the centre of the character to be lit to the four outer viewpoints; Gaussians are evaluated from
+    the centre and from these four."""
     emitter: float
     """Largest size of a light source that counts as compact."""
     separation: float
@@ -148,13 +149,14 @@ class _Candidates:
     rows: Rows
     """Index of each candidate Gaussian in the arrays of `Evidence`, shape (R,)."""
     surrounding_scores: Doubles
-    """Root mean square score (brightness) of the Gaussians around each of R candidate lights, in the octant where it
-    is largest, as `surrounding_scores` returns it, shape (R,)."""
+    """Score (brightness) of the surroundings of each of R candidate lights, shape (R,): the root mean square score of
+    the Gaussians in the brightest octant, as the function `surrounding_scores` returns it."""
     weights: Doubles
-    """Score of each candidate light times its contrast, 1 - surrounding / own score, at least `LIGHT_SEARCH_BROAD`,
-    (R,)."""
+    """Score of each candidate light times ``max(contrast, LIGHT_SEARCH_BROAD)``, shape (R,). Contrast: 1 - (score of
+    the surroundings) / (score of the candidate)."""
     is_compact: Flags
-    """True for candidates whose contrast, 1 - surrounding / own score, reaches ``config.compactness``, shape (R,)."""
+    """True for candidates with a contrast of at least ``config.compactness``, shape (R,). Contrast: 1 - (score of the
+    surroundings) / (score of the candidate)."""
 
 
 def estimate_lights(
@@ -173,13 +175,14 @@ def estimate_lights(
     keeps the best.
 
     A candidate is a light if it explains the shading around it. A regression tests whether surfaces that face the
-    candidate, unshadowed, are brighter than others with the inverse square of the distance, and more so than for
-    positions beside it. Candidates that are low, on the ground outdoors, or that do not stand out, need twice the
-    evidence. Flowers and white paper light no surfaces, and are rejected.
+    candidate, unshadowed, are brighter than others, by the inverse square of their distance. The candidate must explain
+    this better than positions beside it do. Twice the evidence is needed for candidates that do not stand out, are low,
+    or lie on the ground outdoors. Flowers and white paper light no surfaces, and are rejected.
 
     A light's position is its Gaussian's mean. Its colour is that of the Gaussian towards the character, linear,
-    brightest channel 1. Intensities in candela are proportional to the base scores, scaled so that the irradiances of a
-    surface at ``center`` that faces each light sum to ``config.irradiance``. Occlusion is ignored.
+    brightest channel 1. Intensities in candela are proportional to the base scores. They are scaled so that all lights
+    together give the irradiance ``config.irradiance`` at ``center``, each to a surface that faces the light. Occlusion
+    is ignored.
 
     Args:
         scene: The capture, by its captured colours whatever its material; meshes are ignored.
@@ -237,7 +240,7 @@ def _point_lights(
     count: int,
     settings: LightEstimationConfig,
 ) -> tuple[Rows, Doubles]:
-    """Returns indices of candidates that light surfaces, brightest first, and each one's `LightEstimate.evidence`.
+    """Returns indices of the candidates that light surfaces, brightest first, and their `LightEstimate.evidence`.
 
     Args:
         evidence: Gaussians around the character and their scores.
@@ -285,7 +288,7 @@ def _check_count(count: object) -> None:
 
 
 def splats_of(scene: object) -> tuple[SplatInstance, ...]:
-    """Returns the splat instances of a `Scene`, or those that a `SplatInstance` or `Gaussians` alone stands for.
+    """Returns the splat instances of a `Scene`; a `SplatInstance` or `Gaussians` stands for a scene of its own.
 
     Raises:
         SceneError: The argument is of another type, or the scene has no capture.
@@ -308,7 +311,7 @@ def capture_extent(worlds: list[Doubles], center: Doubles) -> float:
 
 
 def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_size: float) -> _Candidates:
-    """Returns the Gaussians with scores of at least ``settings.weakest`` times the highest, outside the character.
+    """Returns the Gaussians outside the character with at least ``settings.weakest`` times the highest score.
 
     A threshold, not a fixed number, selects them, so that a bright wall of many Gaussians does not exclude a slightly
     darker light. Gaussians within one emitter size of the character's centre are left out.
@@ -362,7 +365,7 @@ _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """The N Gaussians, of all instances, within the search radius of the character to be lit, scored as lights."""
+    """All instances' N Gaussians within the search radius of the character to be lit, with scores as lights."""
 
     instances: Rows
     """Index of the splat instance to which each of the N Gaussians belongs, shape (N,)."""
@@ -385,7 +388,8 @@ class _Luminance(NamedTuple):
     mean: FloatArray
     maximum: FloatArray
     view_independence: FloatArray
-    """Mean / (mean + standard deviation) of the luminance over the five viewpoints, 0..1; 1 if it is equal from all."""
+    """Mean / (mean + standard deviation) of the luminance over the five viewpoints, 0..1; 1 for equal luminance from
+    all."""
 
 
 def _gathered_evidence(
@@ -456,7 +460,7 @@ def _colors_from(viewpoint: Doubles, instance: SplatInstance, gaussians: Gaussia
 
 
 def _brightness(luminances: list[_Luminance]) -> FloatArray:
-    """Returns half the sum of mean and maximum luminance of all Gaussians, both compressed above a high quantile."""
+    """Returns the average of each Gaussian's mean and maximum luminance, both compressed above a high quantile."""
     mean = np.concatenate([luminance.mean for luminance in luminances])
     maximum = np.concatenate([luminance.maximum for luminance in luminances])
     level = float(np.quantile(mean, LIGHT_SEARCH_CLIP))
@@ -464,7 +468,7 @@ def _brightness(luminances: list[_Luminance]) -> FloatArray:
 
 
 def _constant_share(gaussians: Gaussians, degree: int) -> FloatArray:
-    """Returns the fraction of each colour's mean square over directions that SH degree 0 contributes, shape (M,)."""
+    """Returns SH degree 0's fraction of the mean square, over all directions, of M Gaussians' colours, shape (M,)."""
     constant = np.sum(np.maximum(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0) ** 2, axis=1)
     bands = gaussians.sh[:, 1 : (degree + 1) ** 2]
     varying = np.einsum("nkc,nkc->n", bands, bands) / (4.0 * np.pi)
@@ -485,7 +489,8 @@ class FoundLights:
     rows: Rows
     """Index of each accepted light among the R candidates, shape (k,)."""
     shares: Doubles
-    """Fraction of the luminance variance left by earlier lights that each accepted light explains, shape (k,)."""
+    """Fraction that each accepted light explains of the luminance variance left by the lights accepted before, shape
+    (k,)."""
 
 
 def _lights_among(
@@ -503,7 +508,7 @@ def _lights_among(
 
     Each step takes the candidate that explains most of the remaining luminance variance. The candidate must explain at
     least the fraction ``evidence`` of that variance, significantly, and about as well as positions beside it do. A
-    candidate that is level with or below the character, or that does not stand out, must explain twice as much.
+    candidate that does not stand out, or is not higher than the character, must explain twice as much.
 
     Args:
         positions: Positions of R candidates, world space, shape (R, 3).
@@ -544,10 +549,10 @@ def _is_light(trace: Trace, doubt: float, evidence: float) -> bool:
 
 
 def _is_localised(shading: Shading, position: Doubles, trace: Trace, emitter: float) -> bool:
-    """Returns whether ``trace``, of a light at ``position``, explains the shading as well as lights beside it do.
+    """Returns whether a light at ``position`` explains the shading about as well as lights beside it do.
 
-    It must explain at least `LIGHT_ELSEWHERE` of the variance that the best of six lights explains, which are at
-    `TRACE_NEAREST` emitter sizes from it along the axes.
+    Six other lights, `TRACE_NEAREST` emitter sizes away along the axes, are tested. The variance that ``trace``
+    explains must be at least `LIGHT_ELSEWHERE` of the variance that the best of the six explains.
     """
     steps = TRACE_NEAREST * emitter * np.concatenate([np.eye(3), -np.eye(3)])
     beside = [_trace(shading, *_cosines_to(shading.surfaces, position + step, emitter)).share for step in steps]
@@ -555,9 +560,9 @@ def _is_localised(shading: Shading, position: Doubles, trace: Trace, emitter: fl
 
 
 def _is_low(positions: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
-    """Returns which of R positions are less than one emitter size above ``center``, the character's, shape (R,).
+    """Returns which of R positions are less than one emitter size above the character's ``center``, shape (R,).
 
-    All are False where `ground_direction` is too short to tell what is down.
+    All are False if `ground_direction` is too short to determine the down direction.
     """
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
@@ -584,8 +589,8 @@ def _trace(shading: Shading, irradiance: Doubles, counted: Flags) -> Trace:
 
 
 _RING = [offset for offset in itertools.product(range(-2, 3), repeat=3) if max(map(abs, offset)) == 2]
-"""Offsets, in cells, of the 98 cells around a block of 3 x 3 x 3: the block holds a candidate light, its shell of 5 x
-5 x 5 cells the surroundings with which the candidate is compared."""
+"""Offsets, in cells, of the 98 cells that surround a block of 3 x 3 x 3 cells. The block holds a candidate light; the
+98 cells, the shell of a block of 5 x 5 x 5, are the surroundings with which the candidate is compared."""
 
 _CELL_BITS = 21
 
@@ -593,10 +598,10 @@ _CELL_BITS = 21
 def surrounding_scores(
     means: npt.NDArray[np.floating], scores: npt.NDArray[np.floating], rows: npt.NDArray[np.integer], size: float
 ) -> npt.NDArray[np.float64]:
-    """Returns the root mean square score (brightness) around R Gaussians, in the octant where it is largest.
+    """Returns the root mean square score (brightness) of R Gaussians' surroundings, in their brightest octant.
 
     Space is divided into cubic cells of side ``size``. A Gaussian's cell and the adjacent cells hold its light source,
-    if the source is no larger than ``size``. The shell of cells around them is the Gaussian's surroundings, divided
+    if the source is no larger than ``size``. The next shell of cells is the Gaussian's surroundings, divided
     into octants. The brightest octant counts: even beside the corner of a bright wall, one octant is mostly wall.
     Because scores are squared, a wall counts as bright despite dark pictures on it.
 

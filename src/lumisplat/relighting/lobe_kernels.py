@@ -21,11 +21,13 @@ def tabulate_lobes(
     matt_out: wp.array[float],
     highlight_out: wp.array[float],
 ):
-    """Tabulates diffuse and specular radiance of a surface with albedo 1 and normal z, per irradiance / pi of a bin.
+    """Tabulates a surface's diffuse and specular radiance over the irradiance / pi from a bin of directions.
+
+    The surface has albedo 1 and normal z.
 
     Args:
         start: Index of the combination of roughness, view and bin that thread 0 handles.
-        spread: Added to alpha^2 of highlights' GGX lobes, so that no lobe falls between two samples.
+        spread: Number added to alpha^2 of the highlights' GGX lobes, so that no lobe falls between two samples.
         roughness: Roughness of R surfaces, (R,).
         views: M unit view directions, (M,).
         samples: S directions in each of Q bins, (Q, S).

@@ -42,8 +42,9 @@ PROBE_DEGREE_MAX = 8
 """
 
 PROBE_RIDGE = 1e-9
-"""Weight of the squared coefficients in the SH fit, where sample weights sum to 4 pi: below the rounding of float32,
-so that radiance that SH can represent is exact, and large enough to give a solution where directions are too few."""
+"""Weight of the squared coefficients in the SH fit; the sample weights sum to 4 pi. The ridge is below the rounding of
+float32, so that radiance that SH can represent is exact. It is large enough to give a solution if there are too few
+directions."""
 
 PROBE_IMAGE_ROWS = 64
 """Height of a probe's latitude-longitude image, pixels: several pixels per shortest wavelength of degree 8."""
@@ -103,8 +104,8 @@ class EnvironmentProbe:
         Uncovered directions have the background of the settings (black), or in a lit frame the scene's visible
         environment.
 
-        Leave an avatar at the position out of the scene, or make ``near`` larger than the avatar, because it would hide
-        everything else. A probe inside an object, such as a lampshade, captures the object's inside.
+        An avatar at the position would hide everything else: leave it out of the scene, or make ``near`` larger than
+        the avatar. A probe inside an object, such as a lampshade, captures the object's inside.
 
         Args:
             scene: The scene that gives the light.
@@ -150,8 +151,8 @@ class EnvironmentProbe:
     ) -> EnvironmentProbe:
         """Fits the SH to samples of radiance by weighted ridge least squares.
 
-        Weights are first scaled to sum to 4 pi. ``B^T W B`` is then about the identity for any number of samples and
-        unit of the weights, and a ridge of 0.01 shrinks coefficients by about 1 %. Source:
+        Weights are first scaled to sum to 4 pi. ``B^T W B`` is then about the identity, for any number of samples and
+        any unit of the weights; a ridge of 0.01 shrinks coefficients by about 1 %. Source:
         docs/method/relighting.md#probe-fit.
 
         Args:
@@ -257,12 +258,12 @@ class EnvironmentProbe:
         return read_only_view(_without_ringing(radiance))
 
     def light(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> LightEnvironment:
-        """Returns an environment light with the probe's radiance that is no background: only reflections show it.
+        """Returns an environment light with the probe's radiance; it is no background, only reflections show it.
 
         Args:
             height: Height of the light's image, pixels, 1 to 8192.
-            rotation_wxyz: Rotation from image to world, as for `image`; it only chooses the image's axes, not the
-                light.
+            rotation_wxyz: Rotation from image to world, as for `image`. It determines only the axes of the image; the
+                light stays the same.
 
         Raises:
             ConfigError: ``height`` is out of its range.
@@ -293,7 +294,7 @@ class EnvironmentProbe:
         write_radiance(path, self.image(height, rotation_wxyz))
 
     def _evaluate(self, directions: npt.ArrayLike, factors: Doubles) -> FloatArray:
-        """Evaluates the SH in directions of any length; ``factors`` multiply the coefficients, one per SH degree."""
+        """Evaluates the SH in directions of any length; ``factors``, one per SH degree, multiply the coefficients."""
         checked = float_array("directions", directions)
         if checked.ndim == 0 or checked.shape[-1] != 3:
             raise SceneError(f"directions has shape {checked.shape}, expected (..., 3)")
@@ -303,7 +304,7 @@ class EnvironmentProbe:
 
 
 def _without_ringing(image: FloatArray) -> FloatArray:
-    """Returns a latitude-longitude image with negative values set to 0, the rest scaled to keep the sphere's mean."""
+    """Returns a latitude-longitude image without negative values; the rest is scaled to keep the sphere's mean."""
     shares = panorama_solid_angles(*image.shape[:2])[:, None, None]
     cut = np.maximum(image, np.float32(0.0))
     before, after = (np.sum(shares * values, axis=(0, 1)) for values in (image, cut))
@@ -360,11 +361,11 @@ def _fit(
 
 
 _PROBES_CACHED = 64
-"""Maximum number of probes that `ProbeCache` keeps, more than a scene has actors; when full, it drops all."""
+"""Maximum number of probes that `ProbeCache` keeps; a scene has fewer actors. A full cache drops all probes."""
 
 
 class ProbeCache:
-    """Captures probes of a scene, and caches up to `_PROBES_CACHED` by position, for actors that do not move.
+    """Captures probes of a scene, and caches up to `_PROBES_CACHED` of them by position, for actors that do not move.
 
     Args:
         scene: The scene without actors.

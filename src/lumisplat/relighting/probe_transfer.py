@@ -38,8 +38,8 @@ _NORMALS_AT_ONCE = 1024
 """Number of normals whose lobes are in memory at once: 2 MB with 16 grid rows, which fits the CPU cache."""
 
 _NO_LIGHT = 1e-12
-"""Solid angle, sr, added to a lobe's integral before division, so that it is not 0
-(docs/method/relighting.md#transfer-scale); every lobe that the grid resolves is far larger."""
+"""Solid angle, sr, added to a lobe's integral so that the division by the sum is defined
+(docs/method/relighting.md#transfer-scale); the integral of a lobe that the grid resolves is far larger."""
 
 
 class _Grid(NamedTuple):
@@ -60,15 +60,15 @@ def relight(
     """Relights Gaussians by a probe: multiplies each colour by the probe's mean radiance over a lobe about the normal.
 
     Light is linear and colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))`` with the lobe's mean
-    radiance s, computed by `scale_light`, which scales the colours of all directions alike. A probe of constant
-    radiance 1 leaves colours unchanged, to the bit at gamma 1. A darker probe darkens them, as an object captured in
-    daylight is darker in a room.
+    radiance s. The function `scale_light` computes this, and scales the colours of all directions alike. A probe of
+    constant radiance 1 leaves colours unchanged, to the bit at gamma 1. A darker probe darkens them, as an object
+    captured in daylight is darker in a room.
 
     The light of the capture stays in its colours, so captures taken in constant light relight best. Source:
     docs/method/relighting.md#transfer.
 
     Args:
-        subject: N Gaussians in world space, or an instance, whose rotation also rotates the normals.
+        subject: N Gaussians in world space, or an instance; the rotation of an instance also rotates the normals.
         probe: Radiance at the position of the Gaussians.
         config: Settings; None: the defaults.
         normals: Outward normals in object space, of any length, shape (N, 3); None: estimated as the settings say.
@@ -99,7 +99,7 @@ def relight(
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
     """Averages a probe's radiance over a lobe ``max(0, w . n)^exponent`` of directions w about each of N normals n.
 
-    The probe's mean is subtracted from the radiance and added to the average again, so that constant light has no
+    The probe's mean radiance is subtracted before the average and added afterwards, so that constant light has no
     rounding error. Source: docs/method/relighting.md#transfer-scale.
 
     Args:
@@ -150,7 +150,8 @@ def _grid(rows: int) -> _Grid:
 _log = logging.getLogger("lumisplat")
 
 _BLOCKED_BELOW = 1e-3
-"""Mean transmittance towards a sun below which a warning reports that the scene hides the sun from an actor."""
+"""A warning reports that the scene hides a sun from an actor if the mean transmittance towards the sun is below this.
+"""
 
 
 class SunOnActors:
@@ -171,15 +172,14 @@ class SunOnActors:
         self._has_warned = False
 
     def scales(self, actor: SplatInstance, probe: EnvironmentProbe, normals: FloatArray) -> FloatArray:
-        """Returns the factors that suns add on N Gaussians of an actor, less the part that the probe contains.
+        """Returns the irradiance over pi that suns add at N Gaussians of an actor, less the part in the probe, (N, 3).
+
+        The result is to be added to the factors of `light_scales`.
 
         Args:
             actor: The actor.
             probe: Probe at the actor's position.
             normals: Unit normals, world space, shape (N, 3).
-
-        Returns:
-            Irradiance over pi, to be added to the factors of `light_scales`, shape (N, 3).
         """
         total = np.zeros(normals.shape, np.float32)
         for sun in self._suns:
@@ -212,11 +212,11 @@ class SunOnActors:
 
 
 def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> Doubles:
-    """Returns the linear irradiance that a sun adds, on a surface facing it, to what the probe contains, shape (3,).
+    """Returns the linear irradiance, shape (3,), of a sun on a surface that faces it, less the part in the probe.
 
-    In luminance, ``E_sun - min(E_sun, max(E_probe - pi L_mean, 0))``, with E_probe the probe's irradiance on the
-    surface and L_mean its mean radiance; all channels are scaled alike. The excess of the probe may also come from a
-    captured lamp or the bright sky around the sun.
+    The luminance of the result is ``E_sun - min(E_sun, max(E_probe - pi L_mean, 0))``. E_probe is the probe's
+    irradiance on the surface, and L_mean the probe's mean radiance. All channels are scaled alike. The excess of the
+    probe may also come from a captured lamp or the bright sky around the sun.
     """
     towards = -np.array([sun.direction])
     weights = np.array(LUMINANCE)

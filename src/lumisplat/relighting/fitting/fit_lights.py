@@ -37,13 +37,13 @@ COARSE_SAMPLES = 0.25
 """Samples per pixel in the search for light positions, as a fraction of the samples in the fit."""
 
 LATTICE_SIDES = (3, 4)
-"""Lattices of trial light positions, searched one after the other: n means n^3 positions in the scene's box. With only
-one of the two, one of three lights was placed wrongly from one image."""
+"""Lattices of trial light positions: n means n^3 positions in the scene's box. Both are searched, one after the other.
+A search of only one of them placed one of three lights wrongly from one image."""
 
 STEPS_EXPECTED = 12
-"""Number of Gauss-Newton steps that a search is expected to take, for the progress bar. Searches near the minimum took
-1 to 9 steps, those that began far from it, as in real images, 11 to 22. If fewer are expected than taken, the bar waits
-at the end of a stage."""
+"""Number of Gauss-Newton steps that a search is expected to take, for the progress bar. Searches that began near the
+minimum took 1 to 9 steps, searches that began far from it, as in real images, 11 to 22. If a search takes more steps
+than expected, the bar waits at the end of a stage."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -58,8 +58,7 @@ _SEARCHING, _RENDERING, _REFINING, _ERRORS = (
 )
 """Labels of the stages of a fit in progress reports; rendering takes nearly all of the time."""
 _COST_RATIO_MAX = 0.9
-"""Lights that a search from a lattice of positions finds replace the best ones so far if their cost is below this
-times the best cost."""
+"""The result of a search from a lattice replaces the best lights so far if its cost is below this times their cost."""
 
 
 def fit_lights(
@@ -91,10 +90,10 @@ def fit_lights(
     are found by Gauss-Newton, from the given values and from a lattice of other positions. Source:
     docs/method/relighting.md#lights-of-an-image.
 
-    Images show only the product of light power and surface colour, and its product with the exposure. Base colours are
-    therefore held unless ``base_colors`` asks for them. If all materials are fitted, the product of their base colours
-    stays as in the scene, for each channel. Exposures are held unless ``exposure`` asks for them. If no surface of the
-    scene emits light, the exposure of the first image stays.
+    Images show only the product of light power, surface colour and exposure. Base colours are therefore held unless
+    ``base_colors`` asks for them. If all materials are fitted, the product of their base colours stays as in the scene,
+    for each channel. Exposures are held unless ``exposure`` asks for them. If no surface of the scene emits light, the
+    exposure of the first image stays.
 
     Args:
         scene: Meshes, and captures with materials. Its lights are the starting point; disabled lights stay disabled.
@@ -112,9 +111,10 @@ def fit_lights(
         radii: Whether to fit radii of points, spots and spheres whose radius is above 0.
         angles: Whether to fit the cone angles of spots.
         base_colors: Base colours to fit: True for all, or a list of names; all others are held. Each material of meshes
-            has one colour. Each capture with a reflecting material that does not emit has one factor per channel. Names
-            are those of a material, else of its instance or mesh; of a capture's instance, else "capture 0" by its
-            number. Roughness, textures, and colours of single Gaussians are not fitted.
+            has one colour. Each capture with a reflecting material that does not emit has one factor per channel. The
+            name of a material's colour is that of the material, or else of the instance or mesh that has it. The name
+            of a capture's colour is that of its instance, or else "capture 0" by its number. Roughness, textures, and
+            colours of single Gaussians are not fitted.
         exposure: Exposure of the images in stops: one number, or one for each image, or ``"fit"``. None: those of the
             cameras.
         linear: Whether arrays hold linear light; None: they do not.

@@ -1,4 +1,4 @@
-"""Renders the radiance that each single light adds to images; noise of indirect light is averaged over surfaces."""
+"""Renders the radiance that each single light adds to images; averages indirect light over surfaces to reduce noise."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ CLIPPED_ABOVE = 0.995
 """Display value from which a pixel may be clipped: 254 of 255."""
 
 _ASPECT_ERROR = 0.51
-"""Largest difference, pixels, between an image's height and its width divided by the camera's aspect ratio."""
+"""Largest accepted difference, pixels, between an image's height and the height that the camera's aspect ratio gives
+for the image's width."""
 _WHOLE = 1.0 - 1e-4
-"""Smallest fraction of a downscaled pixel's area that fitted pixels must cover for it to be fitted: 1, less a
-tolerance for rounding."""
+"""A downscaled pixel is fitted if fitted pixels cover at least this fraction of its area: 1, less a tolerance for
+rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,23 +213,23 @@ FIT_SAMPLES_OF_PATHS = 64
 few thousandths."""
 
 SMOOTH_REACH = 1.0 / 32.0
-"""Half the width of the square of pixels over which indirect light is averaged, as a fraction of the render's longer
-side. Twice the width gave an error of 2.8 % instead of 1.4 % for a light in a room with bounces, at 64 pixels."""
+"""Half the side of the square of pixels over which indirect light is averaged, as a fraction of the render's longer
+side. For a light in a room with bounces, at 64 pixels, twice this size gave an error of 2.8 % instead of 1.4 %."""
 
 SMOOTH_COSINE_MIN = 0.9
 """Smallest cosine between the normals of two pixels that count as showing one surface."""
 
 SMOOTH_PLANE = 0.2
-"""Two pixels show one surface only if the neighbour's distance from the pixel's tangent plane is at most this times
-the distance between their points."""
+"""Two pixels show one surface only if the second pixel's point is close to the tangent plane of the first: its
+distance from the plane is at most this times the distance between the points."""
 
 SMOOTH_ROUGHNESS_MIN = 0.3
-"""Smallest roughness of materials whose indirect light is averaged over neighbouring pixels: mirror images have sharp
-edges."""
+"""Smallest roughness of materials whose indirect light is averaged over neighbouring pixels: reflections in smoother
+materials have sharp edges."""
 
 SMOOTH_ALBEDO_MIN = 0.02
-"""Lower bound of the albedo by which indirect light is divided before averaging, and multiplied after, to keep
-textures sharp."""
+"""Lower bound of the albedo by which indirect light is divided before it is averaged. The average is multiplied by the
+albedo again; textures thus stay sharp."""
 
 Layer = Callable[[Scene, Frame], Doubles]
 """Function that returns the linear radiance of a scene's rendered frame, such as that due to one light, shape (H, W,
@@ -238,11 +239,11 @@ _PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
 _DISABLED_LIGHT = LightPoint((0.0, 0.0, 0.0), enabled=False)
 """Disabled light given to scenes without lights: with it the renderer adds no headlight."""
 _UNLIT_WEIGHT_MAX = 1e-3
-"""Largest fraction of a pixel that unlit captures and background may cover if the pixel is fitted."""
+"""A pixel is fitted only if unlit captures and background cover less than this fraction of the pixel."""
 
 
 class LightLayers:
-    """Renders what single lights add to the images of a fit, whose pixels are joined into one list of N.
+    """Renders what single lights add to the N pixels of all images of a fit.
 
     Args:
         config: How light is rendered; None: path tracing.
@@ -273,12 +274,12 @@ class LightLayers:
         self._device, self._rendered = device, rendered
         self._renderers: list[Renderer] = []
         self._smooth: dict[tuple[object, ...], tuple[_Instances, SurfaceAverage]] = {}
-        """Cached neighbourhoods for averaging, by the camera's size and pose, each with the scene's instances at that
-        time."""
+        """Cached neighbourhoods for averaging, by the camera's size and pose, each with the scene's instances for
+        which it was computed."""
         self._is_random = self.is_path or base.raster.strategy is RasterStrategy.STOCHASTIC
 
     def lit_pixels(self, scene: Scene, images: Sequence[FitImage]) -> Flags:
-        """Returns which of N pixels show only surfaces that reflect light, no unlit capture or background, (N,)."""
+        """Returns which of N pixels show only surfaces that reflect light, and no unlit capture or background, (N,)."""
         frames = self._frames(0, _with_lights(scene, ()), images)
         weights = [np.asarray(frame.captured_weight).ravel() for frame in frames]
         return np.concatenate(weights) < _UNLIT_WEIGHT_MAX
@@ -286,7 +287,7 @@ class LightLayers:
     def render(self, scene: Scene, lights: Sequence[Light], images: Sequence[FitImage]) -> Doubles:
         """Renders emission plus the light of ``lights`` alone at the N pixels of all images, linear, shape (2, N, 3).
 
-        The first axis holds two renders with independent random numbers, or one deterministic render twice.
+        The first axis holds two renders with independent random numbers, or the same deterministic render twice.
         """
         return self._both(_with_lights(scene, lights), images, self._all_light)
 
@@ -362,7 +363,7 @@ def power_of(light: Light) -> Doubles:
 
 
 def with_power(light: Light, power: Doubles) -> Light:
-    """Returns the light with colour times intensity ``power``, brightest channel of the colour 1.
+    """Returns the light with the given ``power`` (colour times intensity); the brightest channel of its colour is 1.
 
     With power 0 the intensity becomes 0, and the colour stays.
     """
@@ -381,14 +382,14 @@ _Number = TypeVar("_Number", bound=np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceAverage:
-    """For each pixel of a view, the nearby pixels on the same surface, over which indirect light is averaged."""
+    """Lists, for each pixel of a view, the nearby pixels on its surface; indirect light is averaged over them."""
 
     albedo: Doubles
     """Albedo, at least `SMOOTH_ALBEDO_MIN`, by which light is divided before averaging, shape (H, W, 3)."""
     offsets: tuple[tuple[int, int], ...]
     """Row and column offsets of the D neighbours of a pixel, itself included."""
     same_surface: Flags
-    """True where the neighbour at each of D ``offsets`` is on the pixel's surface, shape (D, H, W)."""
+    """True where a pixel's neighbour, at one of D ``offsets``, lies on the pixel's own surface, shape (D, H, W)."""
 
     @classmethod
     def of(cls, scene: Scene, frame: Frame) -> SurfaceAverage:

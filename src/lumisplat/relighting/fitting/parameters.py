@@ -23,10 +23,12 @@ FIT_DEGREE_MAX = 4
 Hanrahan 2001)."""
 
 POSITION_STEP = 0.004
-"""Step to either side, relative to the scene's size, in central differences of renders by a light's position."""
+"""Step to either side, relative to the scene's size, in central differences of renders with respect to a light's
+position."""
 
 ANGLE_STEP = 0.02
-"""Step to either side, radians, in central differences of renders by a light's direction or cone angles."""
+"""Step to either side, radians, in central differences of renders with respect to a light's direction or cone angles.
+"""
 
 Kind = Literal["position", "direction", "radius", "inner", "outer"]
 _ANGLE_GAP = 1e-3
@@ -37,17 +39,19 @@ _SMALLEST = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class LightParameter:
-    """One scalar of one light that Gauss-Newton searches: a coordinate, a tilt of the direction, a radius, an angle."""
+    """One scalar of a light that Gauss-Newton fits: a coordinate, a tilt of the direction, a radius or a cone angle."""
 
     light: int
     """Index, in the scene's lights, of the light that has the parameter."""
     kind: Kind
     axis: int = 0
-    """For a position 0, 1, 2: x, y, z; for a direction 0 or 1: which of its two tangents; else 0."""
+    """Coordinate axis of a position, 0, 1, 2 for x, y, z; number, 0 or 1, of the tangent along which a direction is
+    tilted; otherwise 0."""
     step: float = 1.0
-    """Step to either side in central differences by the parameter: scene units, for directions and angles radians."""
+    """Step to either side in central differences: scene units for positions and radii, radians for directions and
+    angles."""
     least: float = 0.0
-    """Smallest radius, scene units, if the parameter is a radius; 0 for others, which do not use it."""
+    """Smallest radius, scene units, if the parameter is a radius; other parameters ignore this field."""
 
     def applied(self, light: Light, amount: float) -> Light:
         """Returns the light with ``amount`` added to the parameter; radii and angles stay within their bounds."""
@@ -111,7 +115,7 @@ _WHITE = 1.0 - 1e-4
 
 @dataclass(frozen=True, slots=True)
 class BaseColor:
-    """One base colour to fit: that of a material of meshes, or of a capture, whose Gaussians share a factor."""
+    """One base colour to fit: of a material of meshes, or of a capture, with one factor for all its Gaussians."""
 
     name: str
     """Name of the material, or else of the first mesh with it; for a capture, name of its instance."""
@@ -120,11 +124,11 @@ class BaseColor:
     capture: int | None = None
     """Index of the scene's splat instance; None if the base colour is that of a material of meshes."""
     given: Gaussians | None = None
-    """Gaussians of the capture before the fit, to which factors apply; None for a material of meshes."""
+    """Gaussians of the capture before the fit, on which the fitted factors act; None for a material of meshes."""
 
 
 def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor]:
-    """Returns the base colours to fit: of meshes' materials, where equal names are one material, and of captures.
+    """Returns the base colours to fit: one per material of meshes, by the material's name, and one per capture.
 
     Args:
         scene: The scene.
@@ -157,7 +161,7 @@ def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor
 
 
 def share_at_white(scene: Scene, base_color: BaseColor) -> float:
-    """Returns the fraction of a capture's Gaussians with a channel that is white now and was not before the fit."""
+    """Returns the fraction of a capture's Gaussians with a channel that became white in the fit."""
     if base_color.capture is None or base_color.given is None:
         return 0.0
     white = [(base_colors(some) >= _WHITE) for some in (scene.splats[base_color.capture].gaussians, base_color.given)]
@@ -195,7 +199,7 @@ def _color(scene: Scene, base_color: BaseColor) -> Doubles:
 
 
 def _with_mean(gaussians: Gaussians, color: Doubles) -> Gaussians:
-    """Returns Gaussians with base colours scaled per channel, up to 1 each, so that their mean is ``color``."""
+    """Returns Gaussians whose mean base colour is ``color``: scaled by one factor per channel, and clamped to 1."""
     own = base_colors(gaussians)
     mean = own.mean(axis=0)
     gain = np.divide(color, mean, out=np.ones(3), where=mean > _DARK)
@@ -240,9 +244,9 @@ class FitTask:
     """The unknowns of a light fit, and the scene and exposures from which the fit starts."""
 
     scene: Scene
-    """Scene from which the fit starts, without an environment that the SH environment replaces."""
+    """Scene from which the fit starts, without its environment if an SH environment replaces that."""
     lights: tuple[int, ...]
-    """Indices in the scene of the lights that are fitted: all that are enabled."""
+    """Indices, among the scene's lights, of the lights that are fitted: all that are enabled."""
     degree: int | None
     """Degree of the SH environment that is fitted; None: no SH environment."""
     scales: bool
@@ -252,8 +256,8 @@ class FitTask:
     light_parameters: tuple[LightParameter, ...]
     base_colors: tuple[BaseColor, ...]
     anchors: bool
-    """True if the product of the base colours is held in each channel, because all base colours and the lights' powers
-    are fitted, and images show only the products of both.
+    """True if all base colours and the lights' powers are fitted. The product of the base colours is then held in each
+    channel, because images show only products of base colour and power.
     """
     exposed: tuple[bool, ...]
     """True for each image whose exposure is fitted."""
@@ -262,8 +266,8 @@ class FitTask:
     size: float
     """Size of the scene, scene units: longest side of its box without stray Gaussians."""
     low: Doubles
-    """Lower corner, world space, of the box in which lights may move: the scene's box without stray Gaussians,
-    enlarged to contain the lights at the start.
+    """Lower corner, world space, of the box in which lights may move. The box is that of the scene without stray
+    Gaussians, enlarged to contain the lights at the start.
     """
     high: Doubles
 
@@ -277,8 +281,8 @@ class FitTask:
             scene: The scene as the caller gave it.
             options: The caller's options.
             exposures: Exposures of the images' cameras, stops.
-            shines: Returns whether surfaces of the scene emit light; it fixes the scale, so that all exposures can be
-                fitted.
+            shines: Returns whether surfaces of the scene emit light. The emission fixes the scale, so that all
+                exposures can be fitted.
 
         Raises:
             ConfigError: There is nothing to fit, or an exposure is invalid.
@@ -337,7 +341,7 @@ class FitTask:
 
 
 def _with_sh_environment(scene: Scene, options: FitOptions) -> tuple[Scene, int | None]:
-    """Returns the scene, less an environment that an SH environment replaces, and the SH degree, None for none."""
+    """Returns the scene without an environment that an SH environment replaces, and the SH degree; None: no SH."""
     own = [light for light in scene.lights if isinstance(light, LightEnvironment) and light.enabled]
     degree = options.environment_degree
     if degree == "auto":

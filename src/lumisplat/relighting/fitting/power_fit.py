@@ -20,28 +20,28 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
 
 HUBER_WIDTH = 1.345
-"""Residual, in standard deviations, above which Huber's loss grows linearly and no longer quadratically: 95 %
-efficiency for normal residuals (Huber 1981)."""
+"""Residual, in standard deviations, at which Huber's loss changes from quadratic to linear: 95 % efficiency for normal
+residuals (Huber 1981)."""
 
 TUKEY_WIDTH = 4.685
 """Residual, in standard deviations, from which Tukey's weight is 0: 95 % efficiency for normal residuals (Beaton and
 Tukey 1974)."""
 
 DEVIATION_MIN = 1e-4
-"""Lower bound of the residuals' standard deviation, in units of the expected noise, by which weights divide: rendered
-images may have no residuals."""
+"""Lower bound of the residuals' standard deviation, in units of the expected noise. Robust weights divide by the
+standard deviation, and rendered images may have no residuals."""
 
 ROBUST_STEPS = 40
 """Maximum number of reweightings for each robust loss."""
 
 ROBUST_CHANGE = 1e-7
-"""Largest change of an unknown, relative to the largest unknown, at which reweighting ends."""
+"""Reweighting ends when no unknown changes by more than this, relative to the largest unknown."""
 
 NORMAL_RIDGE = 1e-9
-"""Ridge added to the diagonal of the normal equations, relative to it: lights with equal renders get equal powers."""
+"""Ridge added to the normal equations, as a fraction of their diagonal: lights with equal renders get equal powers."""
 
 NOISE_SHARE_MAX = 0.5
-"""Largest fraction of the squared norm of any weighted sum of renders that the removal of render noise may subtract."""
+"""Largest fraction that is subtracted as render noise from the squared norm of any weighted sum of renders."""
 
 _MAD_TO_DEVIATION = 1.4826
 """Factor from median absolute deviation to standard deviation, for a normal distribution."""
@@ -57,7 +57,7 @@ class Observed:
     """True for each channel of each pixel that is fitted: not clipped, not masked, and showing surfaces that reflect
     light, shape (N, 3)."""
     noise: Doubles
-    """Expected standard error of each pixel's linear light, by which residuals are divided, shape (N, 3)."""
+    """Expected standard error of each pixel's linear light, shape (N, 3); residuals are divided by this error."""
     blocks: Rows
     """Number of the 8 x 8 block to which each pixel belongs, shape (N,); residuals within a block count as correlated.
     """
@@ -67,26 +67,27 @@ class Observed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Linear model of the images' N pixels: a fixed render plus K renders times factors, which U unknowns give."""
+    """Linear model of the images' N pixels: a fixed render plus K renders, with factors that U unknowns determine."""
 
     renders: Doubles
     """The K renders to be scaled, each made twice with independent noise, N pixels, shape (2, K, N, 3)."""
     fixed: Doubles
     """Render of emission and of lights whose power is held, twice with independent noise, shape (2, N, 3)."""
     tints: tuple[Doubles | None, ...]
-    """For each of the K renders: the light's held colour, shape (3,), which one unknown scales; None: one unknown per
-    channel."""
+    """Held colour, shape (3,), of each of the K renders whose light has one unknown, the scale of this colour. None:
+    the render has one unknown per channel."""
     bounded: Doubles
-    """Matrix of R constraints ``bounded @ x >= least`` on the U unknowns x: powers and environment are not negative,
-    (R, U)."""
+    """Matrix, (R, U), of R constraints ``bounded @ x >= least`` on the U unknowns x. The constraints keep powers and
+    environment from being negative."""
     least: Doubles
     """Right side of the constraints ``bounded @ x >= least``, shape (R,)."""
     ridge: Doubles = field(default_factory=lambda: np.zeros(0))
-    """Ridge added to each unknown's diagonal entry of the normal equations, relative to it, shape (U,); empty: none."""
+    """Ridge of each unknown, shape (U,), as a fraction of the unknown's diagonal entry in the normal equations; empty:
+    none."""
 
     @property
     def spread(self) -> Doubles:
-        """Matrix that gives the factors of the K renders in each channel for U unknowns, shape (3, K, U)."""
+        """Matrix from the U unknowns to the factors of the K renders in each channel, shape (3, K, U)."""
         return spread_of(self.tints)
 
     def channels(self, unknowns: Doubles) -> Doubles:
@@ -94,7 +95,7 @@ class Columns:
         return np.asarray(np.einsum("cku,u->kc", self.spread, unknowns))
 
     def model(self, unknowns: Doubles) -> Doubles:
-        """Returns linear light of N pixels, the fixed render plus K scaled renders, for the U unknowns, (N, 3)."""
+        """Returns the modelled linear light of N pixels, (N, 3): the fixed render plus the K renders times factors."""
         factors = self.channels(unknowns)
         return self.fixed.mean(axis=0) + np.einsum("knc,kc->nc", self.renders.mean(axis=0), factors)
 
@@ -114,7 +115,7 @@ class Solution:
 
 
 def unknown_counts(tints: Sequence[Doubles | None]) -> list[int]:
-    """Returns the number of unknowns of each render: 1 if its colour is held (a tint), 3 if it is None."""
+    """Returns the number of unknowns of each render: 1 for a held colour (a tint), 3 for None."""
     return [3 if tint is None else 1 for tint in tints]
 
 
@@ -134,8 +135,8 @@ def spread_of(tints: Sequence[Doubles | None]) -> Doubles:
 def normal_equations(observed: Observed, columns: Columns, weights: Doubles) -> tuple[Doubles, Doubles]:
     """Returns the weighted normal equations ``G x = m`` of the unknowns x: G, shape (U, U), and m, shape (U,).
 
-    Render noise does not bias G and m, because the two renders of each light, whose noise is independent, are
-    multiplied. At most `NOISE_SHARE_MAX` of the squared norm of a sum of renders is removed as noise.
+    Each light is rendered twice with independent noise. Products of the two renders keep the noise from biasing G and
+    m. At most `NOISE_SHARE_MAX` of the squared norm of a sum of renders is removed as noise.
     """
     spread = columns.spread
     first, second = columns.renders
@@ -153,7 +154,7 @@ def normal_equations(observed: Observed, columns: Columns, weights: Doubles) -> 
 
 
 def lifted(gram: Doubles, ridge: Doubles) -> Doubles:
-    """Adds a ridge, relative to the diagonal, to a matrix, so that the matrix becomes positive definite.
+    """Makes a matrix positive definite by a ridge, which is added as a fraction of the diagonal.
 
     Args:
         gram: Positive semidefinite matrix of U unknowns, shape (U, U).
@@ -166,7 +167,7 @@ def lifted(gram: Doubles, ridge: Doubles) -> Doubles:
 
 
 def _without(gram: Doubles, noise: Doubles) -> Doubles:
-    """Subtracts render noise, shape (U, U), from the matrix ``gram``, at most `NOISE_SHARE_MAX` of any norm."""
+    """Subtracts the render noise, (U, U), from the matrix ``gram``, but at most `NOISE_SHARE_MAX` of any norm."""
     if not noise.any():
         return gram
     root = np.linalg.cholesky(gram)
@@ -182,7 +183,7 @@ def robust_solve(observed: Observed, columns: Columns, *, redescends: bool = Fal
     Args:
         observed: Pixels of the images.
         columns: Renders whose factors are the unknowns.
-        redescends: Whether to continue with Tukey's loss, which gives outliers, such as objects that the scene lacks,
+        redescends: Whether to continue with Tukey's loss. With it, outliers, such as objects that the scene lacks, get
             weight 0.
     """
     base = observed.counts / observed.noise**2
@@ -206,7 +207,7 @@ def robust_solve(observed: Observed, columns: Columns, *, redescends: bool = Fal
 
 
 def mean_around(observed: Observed, residuals: Doubles) -> Doubles:
-    """Averages residuals, (N, 3), over the fitted pixels among each pixel and its eight neighbours.
+    """Averages residuals, (N, 3), over each pixel and its eight neighbours, as far as these are fitted.
 
     The robust weights use these means, because noise must not choose the weights; objects that the scene lacks are
     larger than a pixel.
@@ -230,7 +231,7 @@ def sum_around(image: Doubles) -> Doubles:
 
 
 def huber_cost(observed: Observed, model: Doubles, deviation: Doubles) -> float:
-    """Returns the mean Huber loss of the fitted residuals, which are divided by expected noise times ``deviation``."""
+    """Returns the mean Huber loss of the fitted residuals over their standard deviation: noise times ``deviation``."""
     size = np.abs((observed.target - model) / (observed.noise * deviation))[observed.counts]
     return float(np.where(size <= HUBER_WIDTH, 0.5 * size**2, HUBER_WIDTH * (size - 0.5 * HUBER_WIDTH)).mean())
 
@@ -278,16 +279,15 @@ def covariance(observed: Observed, columns: Columns, solution: Solution, held: D
 
 
 RELATIVE_NOISE = 0.02
-"""Expected error of a pixel's light, relative to the pixel's light plus the image's mean light: no light model is more
-exact."""
+"""Expected error of a pixel's light, as a fraction of the sum of the pixel's light and the image's mean light: no
+light model is more exact."""
 
 NOISE_BLUR = 2
-"""Radius, pixels, of the box blur of an image from which its expected error is computed: unblurred, pixels that noise
-darkened would get larger weights."""
+"""Radius, pixels, of the box blur that is applied to an image before its expected error is computed: without it,
+pixels that noise darkened would get larger weights."""
 
 ENVIRONMENT_ROWS = 32
-"""Height, pixels, of latitude-longitude images of the SH environment: of single basis functions and of the fitted
-light."""
+"""Height, pixels, of the latitude-longitude images of SH basis functions and of the fitted SH environment."""
 
 ENVIRONMENT_DIRECTIONS = 96
 """Number of evenly spread directions in which the SH environment must not be negative."""
@@ -296,8 +296,8 @@ BLOCK_PX = 8
 """Side, in pixels, of the square blocks within which residuals count as correlated for standard errors."""
 
 _SH_RIDGE = 1e-7
-"""Relative ridge of the environment's SH coefficients above degree 0: they tend to 0, a constant environment, where no
-surface receives light."""
+"""Relative ridge on the environment's SH coefficients above degree 0. Where no surface receives light, it makes them
+tend to 0, a constant environment."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -305,12 +305,13 @@ class Candidate:
     """A guess of light positions, base colours and exposures, with its renders and the light powers that fit best."""
 
     scene: Scene
-    """Scene with guessed positions, radii, angles and base colours; its lights' powers are not the fitted ones, see
-    `powers`."""
+    """Scene with guessed positions, radii, angles and base colours. The powers of its lights are not the fitted ones,
+    which `powers` returns."""
     gains: Doubles
     """Factors ``2^exposure`` of the V images, shape (V,)."""
     lights: Mapping[int, Doubles]
-    """By the index of each fitted light, two renders of what it adds with colour times intensity 1, shape (2, N, 3)."""
+    """Two renders of what each fitted light adds with colour times intensity 1, by the light's index, shape (2, N, 3).
+    """
     sh_renders: Doubles
     """Two renders of what each of K SH basis functions adds as the environment, shape (2, K, N, 3); K is 0 without an
     SH environment."""
@@ -350,7 +351,7 @@ class PowerFitter:
     """Fits light powers to images of one resolution, N pixels together, for guesses of all other unknowns.
 
     Args:
-        task: What is fitted.
+        task: Unknowns of the fit.
         images: Images, all scaled to this fitter's resolution.
         layers: Renders single lights.
     """
@@ -374,9 +375,10 @@ class PowerFitter:
         return self._guess(scene, gains, None)
 
     def moved(self, candidate: Candidate, scene: Scene, gains: Doubles) -> Candidate:
-        """Returns a candidate for another ``scene``, with the same lights moved or resized, and factors ``gains``.
+        """Returns a candidate for another ``scene`` with the same lights, and for other exposure factors ``gains``.
 
-        Renders of ``candidate`` whose light and surfaces are unchanged are reused; ``gains`` are exposure factors.
+        The lights of ``scene`` may be moved or resized. Renders of ``candidate`` are reused if their light and all
+        surfaces are unchanged.
         """
         return self._guess(scene, gains, candidate)
 
@@ -417,7 +419,7 @@ class PowerFitter:
     def _columns(
         self, scene: Scene, gains: Doubles, lights: Mapping[int, Doubles], sh_renders: Doubles, fixed: Doubles
     ) -> Columns:
-        """Builds the linear model of lights, then SH basis functions; lights of held power join the fixed render."""
+        """Builds the linear model: renders of lights, then of SH basis functions; held lights join the fixed render."""
         renders, tints = list(lights.values()), [self._tint(scene, number) for number in lights]
         if not self.task.scales:
             shining = (power_of(scene.lights[number]) * render for number, render in lights.items())
@@ -443,7 +445,7 @@ class PowerFitter:
         )
 
     def _tint(self, scene: Scene, number: int) -> Doubles | None:
-        """Returns a light's colour, brightest channel 1, if it is held; None if every channel is an unknown."""
+        """Returns a light's colour, brightest channel 1, if the colour is held; None if every channel is an unknown."""
         if not self.task.keeps_hues:
             return None
         color = np.array(scene.lights[number].color, np.float64)
@@ -458,7 +460,7 @@ def _differs_only_in_lights(scene: Scene, other: Scene) -> bool:
 def _expected_noise(image: FitImage) -> Doubles:
     """Returns the expected error of an image's linear light, shape (H, W, 3): model error plus one 8-bit step.
 
-    It is computed from blurred pixels, so that pixels that noise darkened do not get larger weights.
+    The error is computed from blurred pixels. Otherwise, pixels that noise darkened would get larger weights.
     """
     light = _blurred(image.light)
     step = 1.0 / (255.0 * _encoding_slope(light))
@@ -475,7 +477,7 @@ def _blurred(image: Doubles) -> Doubles:
 
 
 def _encoding_slope(light: Doubles) -> Doubles:
-    """Returns the derivative of sRGB display values with respect to linear light, which is clamped to 0.0001..1."""
+    """Returns the derivative of sRGB display values by linear light; the light is clamped to 0.0001..1 first."""
     bright = np.clip(light, 1e-4, 1.0)
     return np.asarray((encode_srgb(1.01 * bright) - encode_srgb(0.99 * bright)) / (0.02 * bright))
 
@@ -495,13 +497,14 @@ def _blocks(images: Sequence[FitImage]) -> Rows:
 
 
 ENVIRONMENT_NAME = "environment"
-"""Name of the fitted SH environment light, and of its unknowns in messages."""
+"""Name of the light that is the fitted SH environment; messages also use it for the environment's unknowns."""
 
 
 def render_sh_lights(degree: int, render_light: Callable[[Light], Doubles]) -> Doubles:
     """Renders the scene under each SH basis function as an environment.
 
-    Basis functions with negative values are rendered with a constant added, whose render is subtracted again.
+    A basis function with negative values is rendered with a constant added. The render of the constant is then
+    subtracted.
 
     Args:
         degree: SH degree.

@@ -38,12 +38,12 @@ class FittedView:
     fitted: Doubles
     """Linear light that the fitted scene gives in this view: emission plus all lights' renders, shape (H, W, 3)."""
     weights: Doubles
-    """Final weight of each channel of each pixel, 0..1, shape (H, W, 3): 0 where the pixel is clipped or masked, shows
-    an unlit capture or background, or where the model does not explain the pixel."""
+    """Final weight of each channel of each pixel, 0..1, shape (H, W, 3). It is 0 if the pixel is clipped or masked,
+    shows an unlit capture or background, or is not explained by the model."""
     residual: float
     """Weighted root mean square difference of display values between image and model, 0..1."""
     clipped: int
-    """Number of the image's pixels that were not fitted because a channel is black or white, at an end of its range."""
+    """Number of the image's pixels that were not fitted because a channel is at an end of its range, black or white."""
     masked: int
     """Number of the image's pixels that were not fitted because the user's mask excludes them."""
 
@@ -55,22 +55,23 @@ class LightFit:
     scene: Scene
     """The caller's scene with the fitted lights, and the fitted base colours of meshes and captures."""
     lights: tuple[Light, ...]
-    """The L fitted lights in the scene's order; last the SH environment, if its light was found in the images."""
+    """The L fitted lights in the scene's order. The last one is the SH environment, if the images show light from it.
+    """
     shares: Doubles
-    """Fraction of the modelled luminance of the fitted pixels that each light gives, shape (L,); the remainder is
-    emission."""
+    """Each light's fraction of the modelled luminance of the fitted pixels, shape (L,); the remainder is emission."""
     standard_errors: Doubles
-    """Standard errors of the lights' powers (colour times intensity), shape (L, 3); for an SH environment, of its mean
-    radiance."""
+    """Standard errors of the lights' powers (colour times intensity), shape (L, 3); in the row of an SH environment,
+    of the environment's mean radiance."""
     position_errors: Doubles
     """Standard errors of the positions, scene units, shape (L, 3); NaN where positions were not fitted."""
     environment: EnvironmentProbe | None
-    """The fitted SH environment; None if it was not to be fitted, or no light of it was found."""
+    """The fitted SH environment; None if none was to be fitted, or the images show no light from it."""
     base_colors: dict[str, tuple[float, float, float]]
     """Fitted base colours, linear, by the name of the material or capture; for a capture, the mean over its Gaussians.
     """
     exposures: Doubles
-    """Exposures of the V images after the fit, stops, shape (V,); held ones keep their given value."""
+    """Exposures of the V images after the fit, stops, shape (V,); exposures that are not fitted keep their given
+    value."""
     views: tuple[FittedView, ...]
     """For each fitted image: the image, the model's render of it, weights and residual."""
     remarks: tuple[str, ...]
@@ -123,7 +124,7 @@ def result_of(
 
 
 def _has_environment(candidate: Candidate, shares: Doubles, certainty: Certainty) -> bool:
-    """Returns whether the fitted SH environment gives a relevant share of light, or exceeds its standard errors."""
+    """Returns whether the fitted SH environment gives a relevant share of light, or significantly more than none."""
     if not candidate.sh_renders.shape[1]:
         return False
     mean = SH_C0 * np.abs(candidate.coefficients[0])
@@ -148,7 +149,7 @@ def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
 
 
 def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
-    """Returns the fraction of the modelled luminance that each of L lights gives at the fitted pixels, shape (L,)."""
+    """Returns each of L lights' fraction of the modelled luminance of the fitted pixels, shape (L,)."""
     counts = fitter.observed.counts
 
     def brightness(render: Doubles) -> float:
@@ -162,14 +163,15 @@ def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
 
 
 _CLIPPED = 0.2
-"""Fraction of an image's pixels with a black or white channel, above which a remark reports the image as clipped."""
+"""A remark reports an image as clipped if more than this fraction of its pixels have a black or white channel."""
 _UNEXPLAINED = 0.1
-"""Fraction of an image's fitted pixels with a weight below 0.05, above which a remark says that the scene does not
-explain them."""
+"""A remark says that the scene does not explain an image's pixels if more than this fraction of the fitted ones have a
+weight below 0.05."""
 _WHITE = 0.01
-"""Fraction of a capture's Gaussians that the fit made white, above which a remark reports it."""
+"""A remark reports a capture if the fit made more than this fraction of its Gaussians white."""
 _OFF_BELOW = 1e-6
-"""Largest power of a light, relative to the brightest light's, at which a remark reports that the fit turned it off."""
+"""A remark reports that the fit turned a light off if the light's power, relative to the brightest light's, is at most
+this."""
 
 
 def _remarks_of(
@@ -194,7 +196,7 @@ def _remarks_of(
 
 
 def _fixed_remarks(given: Scene, options: FitOptions, fitter: PowerFitter, *, has_environment: bool) -> Iterator[str]:
-    """Yields a sentence for each option without effect, and for each held quantity that images show in products."""
+    """Yields a sentence for each option without effect, and for each held quantity that images show in a product."""
     task = fitter.task
     if task.degree is not None and any(isinstance(light, LightEnvironment) and light.enabled for light in given.lights):
         instead = f"replaced by an SH environment of degree {task.degree}" if has_environment else "removed"
@@ -217,7 +219,7 @@ def _fixed_remarks(given: Scene, options: FitOptions, fitter: PowerFitter, *, ha
 
 
 def _base_color_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
-    """Yields a sentence for each capture of which the fit made more than `_WHITE` of the Gaussians white."""
+    """Yields a sentence for each capture if the fit made more than `_WHITE` of its Gaussians white."""
     for base_color in fitter.task.base_colors:
         share = share_at_white(candidate.scene, base_color)
         if share > _WHITE:
@@ -227,7 +229,7 @@ def _base_color_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[s
 def _light_remarks(
     fitter: PowerFitter, candidate: Candidate, certainty: Certainty, *, has_environment: bool
 ) -> Iterator[str]:
-    """Yields a sentence for each light that does not appear in images, is off, or cannot be told from others."""
+    """Yields a sentence for each light that is off, that no image shows, or that is indistinguishable from others."""
     for number in certainty.dark:
         yield f"{light_name(candidate, number)}: none of its light appears in the images, so it is unchanged"
     for number, power in candidate.powers.items():
@@ -255,7 +257,7 @@ def _brightest(candidate: Candidate) -> float:
 
 
 def _image_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
-    """Yields a sentence for each image with many clipped pixels, without fitted pixels, or not explained."""
+    """Yields a sentence for each image that has many clipped or no fitted pixels, or that the fit does not explain."""
     weights = candidate.solution.weights * fitter.observed.noise**2
     for number, image in enumerate(fitter.images):
         in_image = fitter.view == number
@@ -277,11 +279,12 @@ CONFOUNDED_BELOW = 1e-3
 renders then correlate to 0.999."""
 
 DARK_SHARE = 1e-5
-"""A light does not appear in the images if the norm of its render is at most this times the largest norm of a light."""
+"""A light does not appear in the images if the norm of its render is at most this times the largest of all lights'
+norms."""
 
 _PART = 0.3
-"""Smallest magnitude of an unknown's component, in a unit eigenvector of a nearly singular correlation matrix, at
-which the unknown belongs to the group that cannot be distinguished."""
+"""An eigenvector of a nearly singular correlation matrix stands for a group of unknowns that cannot be distinguished.
+An unknown belongs to the group if its component of the unit eigenvector has a magnitude above this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,14 +292,15 @@ class Certainty:
     """Standard errors of L fitted lights, and the unknowns that the images do not determine."""
 
     powers: Doubles
-    """Standard errors of the L lights' powers (colour times intensity), 0 for held ones; a last row has that of the SH
-    environment's mean radiance, if one is fitted. Shape (L, 3) or (L + 1, 3)."""
+    """Standard errors of the L lights' powers (colour times intensity), 0 for held ones. If an SH environment is
+    fitted, one more row holds the standard error of its mean radiance. Shape (L, 3) or (L + 1, 3)."""
     positions: Doubles
     """Standard errors of the lights' positions, scene units, in the same rows as ``powers``; NaN where not fitted."""
     dark: tuple[int, ...]
-    """Indices of lights in the scene whose light reaches no fitted pixel, so that they stay unchanged."""
+    """Indices, in the scene, of lights that stay unchanged because their light reaches no fitted pixel."""
     confounded: tuple[tuple[str, ...], ...]
-    """Groups of names of lights, materials or ``exposure`` of which the images determine only a combination."""
+    """Groups of unknowns, by the name of the light or material or ``exposure``. The images determine only a
+    combination of the unknowns of a group."""
 
 
 def certainty_of(fitter: PowerFitter, candidate: Candidate) -> Certainty:
@@ -334,7 +338,7 @@ def certainty_of(fitter: PowerFitter, candidate: Candidate) -> Certainty:
 
 
 def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Returns groups of names of unknowns whose derivatives of the images are nearly linearly dependent.
+    """Returns groups of names of unknowns whose effects on the images (derivatives) are nearly linearly dependent.
 
     Args:
         gram: Normal matrix of the unknowns, whose scaled eigenvectors are tested.
@@ -350,7 +354,7 @@ def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], .
 
 
 def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
-    """Returns for each unknown of the joint problem the name of its light, material or ``exposure``, for messages."""
+    """Returns a name for each unknown of the joint problem, for messages: of its light, material or ``exposure``."""
     columns = [light_name(candidate, number) for number in candidate.lights if task.scales]
     columns += [ENVIRONMENT_NAME] * candidate.sh_renders.shape[1]
     columns += [light_name(candidate, parameter.light) for parameter in task.light_parameters]
@@ -359,5 +363,5 @@ def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
 
 
 def light_name(candidate: Candidate, number: int) -> str:
-    """Returns the name of light number ``number`` of the scene for messages, ``lightN`` if it has none."""
+    """Returns the name of light number ``number`` of the scene for messages; a light without a name is ``lightN``."""
     return candidate.scene.lights[number].name or f"light{number}"

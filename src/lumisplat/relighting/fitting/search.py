@@ -27,13 +27,13 @@ from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
 
 COLOR_STEP = 0.04
-"""Step to either side, linear colour, in central differences of renders by base colours."""
+"""Step to either side, linear colour, in central differences of renders with respect to base colours."""
 
 STEP_LENGTH_MAX = 0.15
 """Longest displacement of a light in one Gauss-Newton step, relative to the size of the scene."""
 
 STEP_MIN = 2e-4
-"""The search ends at a step whose lengths, relative to the scene's size, and other numbers are all below this."""
+"""The search ends at a step with all components below this; lengths count relative to the scene's size."""
 
 SEARCH_STEPS = 25
 """Maximum number of Gauss-Newton steps at each resolution."""
@@ -42,8 +42,7 @@ _ANGLE_MAX, _STOPS_MAX = 0.3, 0.7
 """Largest change in one Gauss-Newton step of a direction or cone angle, radians (`_ANGLE_MAX`), and of the natural
 logarithm of an exposure factor (`_STOPS_MAX`)."""
 _ANCHOR = 1e3
-"""Weight of the quadratic term that holds the product of the base colours, relative to the largest weight of the
-images."""
+"""Weight of the quadratic term that holds the product of the base colours; the largest weight of the images is 1."""
 _GAIN_MIN = 1e-3
 """The search ends at a step that decreases the cost by less than this fraction."""
 
@@ -53,11 +52,11 @@ class Slopes:
     """Derivatives of the modelled images by light parameters, exposures and base colours, for one candidate."""
 
     renders: Doubles
-    """J derivatives of the N pixels' light, times exposure: by light parameters, then exposures, then base colours;
-    two each with independent noise, shape (2, J, N, 3)."""
+    """J derivatives of the N pixels' light, times exposure: with respect to light parameters, then exposures, then
+    base colours. There are two of each, with independent noise; shape (2, J, N, 3)."""
     tints: tuple[Doubles | None, ...]
-    """For each derivative: (1, 1, 1) for light parameters and exposures, one unknown each; None for base colours,
-    which have an unknown per channel."""
+    """Tint of each derivative: (1, 1, 1) for light parameters and exposures, which have one unknown; None for base
+    colours, which have one unknown per channel."""
 
 
 def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
@@ -85,7 +84,7 @@ def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
 
 
 def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
-    """Computes a candidate's `Slopes` by central differences of renders; exposures need none."""
+    """Computes a candidate's `Slopes`: central differences of renders; those of exposures need no renders."""
     task = fitter.task
     powers = candidate.powers
     renders = [
@@ -111,7 +110,7 @@ def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
 
 
 def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: LightParameter) -> Doubles:
-    """Returns the derivative by ``parameter`` of its light's render at power 1, central difference, (2, N, 3)."""
+    """Returns the derivative of a light's render at power 1 by its ``parameter``, a central difference, (2, N, 3)."""
     light = candidate.scene.lights[parameter.light]
     ends = [parameter.applied(light, sign * parameter.step) for sign in (-1.0, 1.0)]
     span = 2.0 * parameter.step
@@ -123,7 +122,7 @@ def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: Li
 
 
 def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: BaseColor) -> Doubles:
-    """Returns the derivative by ``base_color`` of the render under all lights, central difference, shape (2, N, 3)."""
+    """Returns the derivative of the render under all lights by ``base_color``, a central difference, (2, N, 3)."""
     color = colors_of(lit_scene, [base_color])[0]
     ends = [np.clip(color + sign * COLOR_STEP, 0.0, 1.0) for sign in (-1.0, 1.0)]
     lights = [light for light in lit_scene.lights if light.enabled]
@@ -134,7 +133,7 @@ def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: Base
 
 
 def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
-    """Returns the linear model whose unknowns are light powers, SH, and the steps along the candidate's `Slopes`."""
+    """Returns the linear model with all unknowns: light powers, SH, and steps along the candidate's `Slopes`."""
     columns = candidate.columns
     added = spread_of(slopes.tints).shape[2]
     return Columns(
@@ -172,9 +171,9 @@ def _change(fitter: PowerFitter, candidate: Candidate, slopes: Slopes, damping: 
 
 
 def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Doubles) -> Doubles:
-    """Returns a matrix, (U, U), that added to ``gram`` holds the product of all base colours in each channel.
+    """Returns a matrix, (U, U), to be added to ``gram``; it holds the product of all base colours in each channel.
 
-    Without it, lights could become stronger and surfaces darker without a change of the images.
+    Without the matrix, lights could become stronger and surfaces darker without a change of the images.
     """
     colors = np.maximum(colors_of(candidate.scene, base_colors), 1e-3)
     anchor = np.zeros_like(gram)
@@ -187,7 +186,7 @@ def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Do
 
 
 def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tuple[Scene, Doubles]:
-    """Returns scene and exposure factors after the step ``change``; too long components are cut to their limits."""
+    """Returns scene and exposure factors after the step ``change``, with its components cut to their limits."""
     task, scene, gains = fitter.task, candidate.scene, candidate.gains.copy()
     light_parameters = _shortened(fitter, change[: len(task.light_parameters)])
     lights: dict[int, Light] = {number: scene.lights[number] for number in task.lights}
@@ -226,7 +225,7 @@ def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
 
 
 def _is_short(fitter: PowerFitter, change: Doubles) -> bool:
-    """Returns whether all numbers of a step are below `STEP_MIN`, lengths relative to the scene's size."""
+    """Returns whether all components of a step are below `STEP_MIN`; lengths count relative to the scene's size."""
     task = fitter.task
     units = [task.size if parameter.kind in ("position", "radius") else 1.0 for parameter in task.light_parameters]
     scaled = np.abs(change) / np.concatenate([units, np.ones(len(change) - len(units))])
@@ -253,7 +252,8 @@ def _value(parameter: LightParameter, light: Light) -> float:
 
 
 _SWEEPS = 3
-"""Maximum number of sweeps over the lights; in each, every light takes the best trial position while the others stay.
+"""Maximum number of sweeps over the lights. In a sweep, one light after the other takes its best trial position while
+all others stay.
 """
 
 
@@ -319,9 +319,9 @@ def _placed(light: Light, positions: Doubles) -> list[Light]:
 
 
 def _products(fitter: PowerFitter, candidate: Candidate, renders: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns weighted inner products per channel: of all renders with each other, and with the images.
+    """Returns weighted inner products per channel: of R renders with each other, and of R renders with the images.
 
-    Emission is subtracted from the images first. The shapes are (3, R, R) and (3, R) for R renders.
+    Emission is subtracted from the images first. The shapes are (3, R, R) and (3, R).
     """
     observed = fitter.observed
     exposed = fitter.exposed(renders, candidate.gains)
