@@ -26,7 +26,7 @@ from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.ops.neighbours import Pairs
 
 ROUGHNESS_UNKNOWN = 0.8
-"""Roughness assigned where a capture shows no highlight from which to fit it."""
+"""Roughness assigned to Gaussians without a highlight from which a roughness could be fitted."""
 
 ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 """Roughnesses that the fit tries. Below the first one, highlights in SH of degree 3 no longer change."""
@@ -35,37 +35,37 @@ ROUGHNESS_ROWS = 2048
 """Number of Gaussians whose roughness is fitted at once, in about 100 MB."""
 
 LOBE_VIEWS = 96
-"""Number of views of the upper hemisphere in which colours are compared. With too few, the part of a sharp highlight
-that SH cannot represent aliases: 24 views give roughness 0.3 as 0.4, 48 give 0.33."""
+"""Number of views of the upper hemisphere in which colours are compared. If there are too few, the part of a sharp
+highlight that SH cannot represent aliases: 24 views give roughness 0.3 as 0.4, 48 give 0.33."""
 
 VIEW_COSINE_LEAST = 0.2
-"""Smallest cosine between the normal and a view in which colours are compared, because captures lack grazing views of
-Gaussians."""
+"""Smallest cosine between the normal and a view direction at which colours are compared, because captures lack grazing
+views of Gaussians."""
 
 BIN_RINGS = 8
-"""Number of rings of equal solid angle, from horizon to zenith, into which the incident light of a hemisphere is
-binned."""
+"""Number of rings of equal solid angle, from horizon to zenith, into which the hemisphere of incident light is
+divided."""
 
 BIN_SECTORS = 20
-"""Number of equal sectors in each ring of bins of incident light; bins are 11 degrees wide."""
+"""Number of equal sectors into which each ring of the hemisphere of incident light is divided; the resulting bins are
+11 degrees wide."""
 
 BIN_SAMPLES = 4
-"""Number of sample directions along each side of a bin of incident light, over which reflection lobes are integrated.
-"""
+"""Number of sample directions along each side of a bin of incident light; reflection lobes are integrated over them."""
 
 ALBEDO_STEPS = 4
 """Number of Gauss-Newton steps that fit a Gaussian's albedo for each trial roughness."""
 
 HIGHLIGHT_NOISE = 0.008
-"""Lower bound of the error of captured colours, display values, that is assumed when roughnesses are compared: 2 of
-255."""
+"""Lower bound of the error of captured colours in the comparison of roughnesses, display values: 2 of 255."""
 
 SAME_ALBEDO = 0.1
-"""Standard deviation, in natural logarithms of albedo, of the weight with which neighbours share fit errors: similar
-albedos suggest one material."""
+"""Standard deviation, in natural logarithms of albedo, of a weight: neighbours share their fit errors if their albedos
+are similar, because similar albedos suggest one material."""
 
 SAME_NORMALS = 4
-"""Exponent of the cosine between normals in the weight with which neighbouring Gaussians share fit errors."""
+"""Exponent of the cosine between normals in a weight: neighbouring Gaussians share their fit errors if their normals
+are similar."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +75,8 @@ class Roughness:
     value: FloatArray
     """Perceptual roughness of each Gaussian, 0..1, shape (N,); it tends to 0.8 where the confidence is low."""
     confidence: FloatArray
-    """1 minus the variance of the roughness's likelihood over that of a uniform one, 0..1, shape (N,); at 0 the
-    roughness is `ROUGHNESS_UNKNOWN`."""
+    """Confidence in each Gaussian's roughness, 0..1, shape (N,): 1 - (variance of the roughness's likelihood) /
+    (variance of a uniform likelihood). At 0 the roughness is `ROUGHNESS_UNKNOWN`."""
 
     @staticmethod
     def unknown(count: int) -> Roughness:
@@ -89,16 +89,16 @@ class Roughness:
 class RoughnessFit:
     """Fits the roughness of N dielectric Gaussians with ior 1.5 under estimated light.
 
-    For each roughness of a grid, the albedo is chosen whose colours are nearest to the captured ones. Colours are
-    compared as clipped display values, projected onto SH of the capture's degree. The remaining errors, averaged over
-    similar neighbours, give the likelihood of the roughness.
+    For each roughness of a grid, the albedo is fitted with which the modelled colours are nearest to the captured ones.
+    Colours are compared as clipped display values, projected onto SH of the capture's degree. The remaining errors,
+    averaged over similar neighbours, give the likelihood of the roughness.
     """
 
     gaussians: Gaussians
     normals: Doubles
     """Unit normals towards the visible side of the N Gaussians, shape (N, 3)."""
     near: Pairs
-    """Pairs of neighbouring Gaussians, in both orders and with themselves, over which fit errors are averaged."""
+    """Pairs of neighbouring Gaussians, in both orders and with themselves; fit errors are averaged over them."""
     lobes: Lobes
 
     def fitted(self, arriving: FloatArray, tried: Callable[[int], object] = lambda count: None) -> Roughness:
@@ -128,7 +128,7 @@ class RoughnessFit:
         Args:
             rows: Indices of the n Gaussians.
             arriving: Irradiance over pi from each of Q bins, shape (n, Q, 3).
-            wider: Weights of `widened` that account for varying normals, shape (n, R, R).
+            wider: Weights from `widened`, which account for varying normals, shape (n, R, R).
 
         Returns:
             Errors, shape (n, R), and albedos, shape (n, R, 3).
@@ -155,7 +155,8 @@ class RoughnessFit:
     def _errors(self, linear: Doubles, captured: Doubles) -> tuple[Doubles, Doubles]:
         """Returns errors of modelled display colours in the compared views, and slopes of the sRGB curve in all views.
 
-        The model's colours, given as linear radiance, are clipped, encoded and projected onto SH before the comparison.
+        The model's colours are given as linear radiance, ``linear``. Before the comparison they are clipped, encoded
+        and projected onto SH.
         """
         displayed, slope = _displayed(linear)
         projection = np.tensordot(self.lobes.projection, displayed - 0.5, (1, 0)) + 0.5
@@ -171,7 +172,7 @@ class RoughnessFit:
         )
 
     def _pooled(self, misfit: Doubles, albedo: Doubles) -> Doubles:
-        """Averages each of R roughnesses' errors over neighbours with similar normals and albedo, shape (N, R)."""
+        """Averages the errors at each of R roughnesses over neighbours with similar normals and albedo, (N, R)."""
         first, second = self.near.first, self.near.second
         logs = np.log(np.maximum(albedo, RADIANCE_LEAST))
         apart = np.abs(logs[first] - logs[second]).max(axis=1) / SAME_ALBEDO
@@ -182,7 +183,7 @@ class RoughnessFit:
         return np.stack(sums, axis=1) / total[:, None]
 
     def _probabilities(self, misfit: Doubles) -> Doubles:
-        """Returns the probability of each of R roughnesses, (N, R); a Gaussian's smallest error counts as noise."""
+        """Returns each Gaussian's probability of each of R roughnesses, (N, R); its smallest error counts as noise."""
         least = misfit.min(axis=1, keepdims=True)
         coefficients = (self.gaussians.sh_degree + 1) ** 2 - 1
         probabilities = np.exp(-0.5 * coefficients * (misfit - least) / np.maximum(least, HIGHLIGHT_NOISE**2))
@@ -190,11 +191,12 @@ class RoughnessFit:
 
 
 def widened(variances: Doubles) -> Doubles:
-    """Returns interpolation weights for a wider lobe at each trial roughness, where normals vary, shape (N, R, R).
+    """Returns weights that replace each of R trial roughnesses by a larger one where normals vary, shape (N, R, R).
 
-    Row r of a Gaussian holds the weights of the R trial roughnesses that interpolate values at the wider roughness.
-    Slopes of microfacets have the variance alpha^2 / 2 along an axis, to which the variance of the normals is added
-    (Toksvig 2005): alpha^2 + 2 variances. Cubics (Lagrange) interpolate between roughnesses of the grid.
+    Row r of a Gaussian holds the weights of the R trial roughnesses that interpolate values at the larger roughness.
+    Slopes of microfacets have the variance alpha^2 / 2 along an axis. The variance of the normals is added to it
+    (Toksvig 2005), so that alpha^2 becomes alpha^2 + 2 variances. Cubics (Lagrange) interpolate between roughnesses of
+    the grid.
 
     Args:
         variances: Variances of normals within N Gaussians, radians^2 along an axis, shape (N,).
@@ -233,7 +235,7 @@ def arriving_light(normals: Doubles, cells: EnvironmentCells, incident: Irradian
 
 
 def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
-    """Returns sRGB values of linear light clipped at 1, and their derivatives with respect to it, 0 where clipped."""
+    """Returns sRGB values of linear light clipped at 1, and their derivatives by the light, 0 where clipped."""
     inside = np.clip(linear, RADIANCE_LEAST, 1.0)
     displayed = np.asarray(encode_srgb(inside), np.float64)
     # Derivative of the sRGB power law: 1.055 / 2.4 x^(1 / 2.4 - 1) = (displayed + 0.055) / (2.4 x).
@@ -243,21 +245,22 @@ def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lobes:
-    """Tables of the light that R roughnesses reflect to M views from Q bins of directions, for a normal along z."""
+    """Tables of the light that surfaces with normal z and R roughnesses reflect from Q direction bins to M views."""
 
     views: Doubles
     """Unit view directions in the local frame whose z axis is the normal, shape (M, 3)."""
     matt: Doubles
-    """Diffuse radiance of albedo 1 towards each view, per irradiance / pi from each bin of directions, shape (R, M,
-    Q)."""
+    """Diffuse radiance towards each view at albedo 1, divided by the irradiance / pi from each bin of directions,
+    shape (R, M, Q)."""
     highlight: Doubles
-    """Specular radiance towards each view, per irradiance / pi from each bin of directions, shape (R, M, Q)."""
+    """Specular radiance towards each view, divided by the irradiance / pi from each bin of directions, shape (R, M,
+    Q)."""
     projection: Doubles
     """Matrix that projects colours in the M views onto SH of the capture's degree and back, shape (M, M)."""
 
     @staticmethod
     def of(degree: int) -> Lobes:
-        """Tabulates the lobes for captures of SH degree ``degree``, on the CPU for equal results on all devices."""
+        """Tabulates the lobes for captures of SH degree ``degree``; on the CPU, for equal results on all devices."""
         launcher = Launcher("cpu")
         buffers, samples, views = Buffers("cpu"), bin_samples(), _views()
         shape = len(ROUGHNESS_GRID), len(views), len(samples)
@@ -277,13 +280,13 @@ class Lobes:
 
     @property
     def compared(self) -> Flags:
-        """True for views with a cosine above `VIEW_COSINE_LEAST`, shape (M,); only in these, colours are compared."""
+        """True for views in which colours are compared, those with a cosine above `VIEW_COSINE_LEAST`, shape (M,)."""
         return self.views[:, 2] > VIEW_COSINE_LEAST
 
     def in_constant_environment(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
-        """Returns diffuse and specular radiance, median over the views, in a constant environment of radiance 1.
+        """Returns diffuse (albedo 1) and specular radiance in an environment of constant radiance 1.
 
-        The diffuse radiance is for albedo 1.
+        Both are medians over the views.
 
         Args:
             roughness: Roughness of N surfaces, 0..1, shape (N,).
@@ -300,7 +303,7 @@ class Lobes:
 
 
 def frames_of(normals: Doubles) -> Doubles:
-    """Returns rotations that take z to each of N normals, world from local, shape (N, 3, 3) (Duff et al. 2017)."""
+    """Returns rotations, world from local, that take z to the N normals, shape (N, 3, 3) (Duff et al. 2017)."""
     x, y, z = normals.T
     sign = np.where(z >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + z)
@@ -311,7 +314,7 @@ def frames_of(normals: Doubles) -> Doubles:
 
 
 def bins_of(directions: Doubles) -> Rows:
-    """Returns the bin of each of N local directions with z > 0, (N,): rings of equal height, times equal sectors."""
+    """Returns the bin, (N,), of each of N local directions with z > 0: a ring of equal height, and a sector of it."""
     ring = np.clip(directions[:, 2] * BIN_RINGS, 0, BIN_RINGS - 1).astype(int)
     sector = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) * BIN_SECTORS).astype(int)
     return ring * BIN_SECTORS + sector % BIN_SECTORS
@@ -329,7 +332,7 @@ def bin_samples() -> Doubles:
 
 
 def sh_projection(views: Doubles, degree: int) -> Doubles:
-    """Returns the matrix that fits SH to colours in M views, as `bake` does, and evaluates the SH again, shape (M, M).
+    """Returns the matrix, (M, M), that fits SH to colours in M views, as `bake` does, and evaluates the fit there.
 
     The matrix applies to colours minus 0.5.
     """

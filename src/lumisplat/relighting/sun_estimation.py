@@ -24,37 +24,38 @@ SUN_DIRECTIONS = 320
 """Number of directions over the sphere, 11 degrees apart, that the first search for the sun tests."""
 
 SUN_REFINED = 24
-"""Number of directions around the best one that each of the two refinements of the sun's direction tests."""
+"""Number of directions, around the best one so far, that each of the two refinements of the sun's direction tests."""
 
 SUN_SHARE = 0.05
-"""Smallest fraction of the surfaces' luminance variance, left by a smooth environment of SH degree 1, that a sun must
-explain."""
+"""Smallest fraction that a sun must explain of the surfaces' luminance variance left by a smooth environment of SH
+degree 1."""
 
 SUN_SIGNIFICANCE = 6.0
-"""Smallest ratio of the regression coefficient of a sun's irradiance to its standard error for the sun to be accepted.
-"""
+"""A sun is accepted only if the regression coefficient of its irradiance is at least this many standard errors."""
 
 SUN_SHARE_BEYOND = 0.025
-"""Smallest fraction of the surfaces' luminance variance, left by an environment of SH degree 2, that a sun must
-explain. Degree 1 cannot represent an overcast sky, which is brightest at its top."""
+"""Smallest fraction that a sun must explain of the surfaces' luminance variance left by an environment of SH degree 2.
+Degree 1 cannot represent an overcast sky, which is brightest at its top."""
 
 SUN_SIGNIFICANCE_BEYOND = 4.0
-"""Smallest ratio of the regression coefficient of a sun's irradiance to its standard error beside an environment of SH
-degree 2."""
+"""A sun is accepted only if, beside an environment of SH degree 2, the regression coefficient of its irradiance is at
+least this many standard errors."""
 
 SUN_LIFT = 6.0
-"""If the capture's centre is inside an object or the ground, the ground is sought from a point this many voxels above.
+"""The search for the ground starts this many voxels above the capture's centre if the centre is inside an object or
+the ground.
 """
 
 SUN_LIT_MIN = 0.05
-"""Smallest fraction of the surfaces that a sun must reach unshadowed; light through a gap of a closed room reaches
-less."""
+"""Smallest fraction of the surfaces that a sun must reach unshadowed: light through a gap of a closed room reaches a
+smaller fraction."""
 
 SUN_APART = 0.7
-"""Directions whose cosine to the best sun direction is below this (more than 45 degrees away) count as rival suns."""
+"""Cosine (45 degrees) to the best sun direction below which a direction counts as that of a rival sun."""
 
 SUN_CONFIDENCE_MIN = 0.2
-"""Smallest `SunEstimate.confidence` of a sun that `estimate_sun` returns; below, it returns None."""
+"""Smallest `SunEstimate.confidence` of a sun that `estimate_sun` returns; if it is smaller, `estimate_sun` returns
+None."""
 
 SUN_ANNOUNCED_S = 1.0
 """Seconds that a search for the sun runs before it reports progress; shorter searches report none."""
@@ -67,23 +68,23 @@ class SunEstimate:
     light: LightDirectional
     """White light of 1 lux named ``estimated-sun``: only its direction is estimated, not the intensity."""
     confidence: float
-    """1 minus the ratio of the variance that the best sun over 45 degrees away explains to that of this sun, at most
-    1; 0 if both explain the same."""
+    """Superiority to rivals, at most 1: 1 - (variance that the best rival sun explains) / (variance that this sun
+    explains), with rivals over 45 degrees away; 0 if both explain the same."""
     share: float
-    """Fraction of the surfaces' luminance variance, left by a smooth environment, that the sun explains, 0..1."""
+    """Fraction, 0..1, that the sun explains of the surfaces' luminance variance left by a smooth environment."""
     significance: float
-    """Regression coefficient of the sun's irradiance on surfaces, over its standard error."""
+    """Regression coefficient of the sun's irradiance, divided by the coefficient's standard error."""
 
 
 def estimate_sun(
     scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike | None = None, *, progress: Progress | None = None
 ) -> SunEstimate | None:
-    """Estimates the sun of a capture: the direction from which surfaces that face it, unshadowed, are brighter.
+    """Estimates the sun of a capture: surfaces that face its direction, unshadowed, are brighter than others.
 
-    The capture is voxelised. For each of some hundred directions, the cosines of its surfaces are computed, 0 where
-    voxels shadow them. A regression tests how much of the luminance such a sun explains that a smooth environment does
-    not. The best direction is refined. It is returned if it explains enough, significantly, and no other direction
-    explains as much. Directions from below the ground are excluded where the ground can be estimated.
+    The capture is voxelised. For each of some hundred directions, the cosines of the surfaces are computed, 0 where
+    voxels shadow them. A regression tests how much of the luminance a sun in this direction explains beyond a smooth
+    environment. The best direction is refined. It is returned if it explains enough, significantly, and no other
+    direction explains as much. Directions from below the ground are excluded where the ground can be estimated.
 
     Args:
         scene: The capture, by its captured colours; meshes are ignored.
@@ -130,7 +131,8 @@ def estimate_sun(
 def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, progress: Progress | None) -> Doubles:
     """Returns the cosine of each of M surfaces' normals to each of D directions, 0 in shadow, shape (M, D).
 
-    This takes most of the search's time; from `SUN_ANNOUNCED_S` after ``started`` on it reports progress.
+    The computation takes most of the search's time. It reports progress once `SUN_ANNOUNCED_S` have passed since
+    ``started``.
     """
     columns: list[Doubles] = []
     is_announced = False
@@ -145,10 +147,10 @@ def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, pr
 
 
 def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
-    """Returns ``position`` if 5 % of the directions from it are free, else the point `SUN_LIFT` voxels above it.
+    """Returns ``position`` if 5 % of the directions from it are free, else a point `SUN_LIFT` voxels above it.
 
-    Up is the thin axis of the surfaces' positions, on the side to which their heights are skewed: objects stand out
-    there.
+    Up is the thin axis of the surfaces' positions. It points to the side to which their heights are skewed, because
+    objects stand out there.
     """
     directions = even_directions(TRACE_DIRECTIONS)
     if surfaces.cells.is_free(np.broadcast_to(position, directions.shape), directions).mean() >= SUN_LIT_MIN:
@@ -160,14 +162,14 @@ def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
 
 
 def _is_above_ground(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> Flags:
-    """Returns which of D directions to a sun point above the ground plane, (D,); all if the ground is unknown."""
+    """Returns which of D directions to a sun point above the ground plane, (D,); all True if the ground is unknown."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     return directions @ down < 0.0 if length >= TRACE_GROUND_MIN else np.ones(len(directions), np.bool_)
 
 
 def _refined(shading: Shading, direction: Doubles, trace: Trace) -> tuple[Doubles, Trace]:
-    """Tests directions up to 11, then up to 3 degrees from ``direction``; returns the best and its evidence."""
+    """Tests directions within 11, then within 3 degrees of the best one so far; returns the best and its evidence."""
     for width in (np.sqrt(4.0 * np.pi / SUN_DIRECTIONS), 0.3 * np.sqrt(4.0 * np.pi / SUN_DIRECTIONS)):
         around = direction + width * even_directions(SUN_REFINED)
         around /= np.linalg.norm(around, axis=1, keepdims=True)

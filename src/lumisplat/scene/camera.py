@@ -36,8 +36,8 @@ class CameraModel(Enum):
     """Equidistant: the ray leaves the eye at ``theta = |(u, v)|`` radians from the axis; fx and fy are pixels per
     radian. Views wider than 180 degrees are allowed; pixels beyond ``theta = pi`` have no ray."""
     ORTHOGRAPHIC = "orthographic"
-    """The ray is parallel to the axis and starts at (u, v, 0), on the plane through the eye; fx and fy are pixels per
-    scene unit."""
+    """Parallel projection: the ray is parallel to the axis and starts at (u, v, 0), on the plane through the eye; fx
+    and fy are pixels per scene unit."""
 
 
 def _pixel_count(value: float, name: str = "width") -> int:
@@ -316,7 +316,7 @@ def checked_window(window: object, width: int, height: int) -> tuple[int, int, i
 
 
 def _cuts(name: str, parts: object, size: int) -> list[int]:
-    """Returns pixel positions, from 0 to ``size``, that cut an image side of ``size`` pixels into ``parts`` windows."""
+    """Returns the pixel positions, 0 and ``size`` included, that cut an image side into ``parts`` windows."""
     steps = -(-size // WINDOW_STEP)
     if not is_number(parts) or parts != int(parts) or not 1 <= parts <= steps:
         raise SceneError(f"{name} is {parts}, expected 1 to {steps}: {size} pixels are cut in steps of {WINDOW_STEP}")

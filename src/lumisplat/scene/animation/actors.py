@@ -219,7 +219,7 @@ class Actor:
         return (SplatInstance(gaussians, world, name=self.name),)
 
     def _placed(self, instances: tuple[Instance, ...], world: npt.NDArray[np.float64]) -> tuple[Instance, ...]:
-        """Returns the instances, named after the actor, with ``world``, (4, 4), applied after their own transforms."""
+        """Returns the instances, named after the actor, with the matrix ``world``, (4, 4), applied after their own."""
         return tuple(replace(i, world_from_object=world @ i.transform, name=self.name or i.name) for i in instances)
 
     @property

@@ -406,7 +406,7 @@ def join_triangles(parts: list[RigPart], indices: list[IntArray], skeleton: Skel
 
     Args:
         parts: Parts of one surface.
-        indices: Triangles of each part, shape (F, 3); those of parts that are mirrored at rest are reversed.
+        indices: Triangles of each part, shape (F, 3); the triangles of a part that is mirrored at rest are reversed.
         skeleton: Gives the rest pose.
     """
     world_from_node = skeleton.world_from_node()

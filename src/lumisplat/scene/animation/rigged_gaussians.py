@@ -105,8 +105,8 @@ def deform_gaussians(
         vertex_normals: Posed normals of the vertices, any length, shape (V, 3); None: the triangles are flat.
 
     Returns:
-        New ``means``, ``rotations_wxyz``, ``scales`` and ``normals`` by name, and a mask of the Gaussians that vanish
-        with their triangles, shape (N,).
+        New ``means``, ``rotations_wxyz``, ``scales`` and ``normals`` by name; and a mask, shape (N,), of the Gaussians
+        whose triangles vanish in this pose, so that they vanish, too.
     """
     frames, growth = binding.frames(positions)
     triangles = binding.triangles
@@ -129,10 +129,10 @@ def deform_gaussians(
 
 
 def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
-    """Returns perpendicular semi-axes of the ellipses with conjugate semi-axes ``first`` and ``second``, (N, 3) each.
+    """Returns perpendicular semi-axes of N ellipses that are given by conjugate semi-axes, (N, 3) each.
 
-    Each pair is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two possible angles, so that axes
-    change as little as possible.
+    Each pair ``first``, ``second`` is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two
+    possible angles, so that axes change as little as possible.
     """
     first_square, second_square, mixed = _dots(first, first), _dots(second, second), _dots(first, second)
     skewed = np.abs(mixed) > RIG_SHEAR_MIN * np.sqrt(first_square * second_square)
@@ -144,7 +144,7 @@ def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
 
 
 def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
-    """Returns shading normals of N Gaussians, interpolated from vertex normals, (N, 3); ``flat`` if these are None."""
+    """Returns N Gaussians' shading normals, (N, 3), interpolated from vertex normals; without these, ``flat``."""
     if vertex_normals is None:
         return flat
     lengths = np.linalg.norm(vertex_normals, axis=1, keepdims=True)

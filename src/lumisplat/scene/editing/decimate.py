@@ -72,10 +72,10 @@ def moments_of(gaussians: Gaussians) -> Moments:
 
 
 def areas(covariances: Doubles) -> Doubles:
-    """Returns N Gaussians' projected area, root mean square over all views, up to a constant factor, (N,).
+    """Returns the projected area of N Gaussians, root mean square over all views, up to a constant factor, (N,).
 
-    Along a unit vector n, the outline has the area pi sqrt(n^T adj(covariance) n). The mean of its square is a third of
-    the adjugate's trace.
+    Seen along a unit vector n, a Gaussian's outline has the area pi sqrt(n^T adj(covariance) n). The mean of the
+    squared area over all n is pi^2 / 3 times the adjugate's trace.
     """
     xx, xy, xz, yy, yz, zz = covariances
     trace = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz

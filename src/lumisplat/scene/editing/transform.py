@@ -161,7 +161,7 @@ def merge(captures: Iterable[Gaussians]) -> Gaussians:
     those that are dropped. The comments are those of the first capture.
 
     Args:
-        captures: At least one. Captures in other coordinates are to be moved by `transform` first.
+        captures: At least one. Move captures that are in other coordinates by `transform` first.
 
     Raises:
         SceneError: The list is empty, only some captures are antialiased, or their kernel degrees differ.
