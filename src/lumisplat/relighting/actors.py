@@ -214,8 +214,8 @@ class ActorShadows:
         """World position of the local coordinates in which actors' Gaussians are stored as float32, shape (3,)."""
         self._means = [receiver.world_means for receiver in self._receivers]
         self._static = np.ones((len(self._lights), sum(map(len, self._means))), dtype=np.float32)
-        """Transmittance of L lights at all N captured Gaussians through the meshes of the scene alone, shape (L, N).
-        It is constant, because these meshes do not move."""
+        """Transmittance of L lights at all N captured Gaussians through the meshes of the scene, without actors, shape
+        (L, N). It is constant, because the meshes do not move."""
         self._warned_lights: set[int] = set()
         self._warned_of_radius = False
         if meshes:

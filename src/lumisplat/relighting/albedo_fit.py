@@ -57,9 +57,9 @@ LIGHT_PRIOR = 3e-4
 """Weight of the squared log ratio of a radiance to its initial value; all pairs of Gaussians together have weight 1."""
 
 IRRADIANCE_WEIGHT_MAX = 3.0
-"""Largest irradiance from environment and emitters, relative to the median Gaussian's, up to which a Gaussian's weight
-grows with it: beyond, the irradiance's error grows too. A lampshade thus counts at most like nine pieces of wall. In
-trained rooms, 2 to 4 % of the Gaussians receive more."""
+"""Irradiance from environment and emitters, relative to the median Gaussian's, above which a Gaussian's weight stops
+growing, because the irradiance's error grows, too. A lampshade thus counts at most like nine pieces of wall. In trained
+rooms, 2 to 4 % of the Gaussians receive more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +203,7 @@ class AlbedoPairFit:
     def _prior(self) -> Doubles:
         """Returns the prior's quadratic form on log radiances of K cells and L emitters, shape (K + L, K + L).
 
-        It prefers equal radiances of neighbouring cells, and radiances near their initial values.
+        The prior prefers equal radiances of neighbouring cells, and radiances near their initial values.
         """
         emitters, share = self.incident.emitters.shape[1], self.cells.solid_angles / (4.0 * np.pi)
         form = LIGHT_PRIOR * np.diag(np.concatenate([share, np.full(emitters, 1.0 / max(emitters, 1))]))

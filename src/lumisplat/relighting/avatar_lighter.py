@@ -44,7 +44,7 @@ class _LightRoles:
     on_meshes: tuple[Light, ...]
     """Lights that illuminate mesh actors, if the frame does not keep the scene's own lights."""
     uses_scene_lights: bool
-    """True if every frame is lit by the scene's own lights, because a mesh or capture of the scene reflects them."""
+    """True if a mesh or capture of the scene reflects the scene's own lights: these lights then light every frame."""
 
     @classmethod
     def of(cls, scene: Scene, lights: Sequence[Light] | None) -> _LightRoles:
@@ -192,7 +192,7 @@ class AvatarLighter:
         return replace(self.scene, splats=(*sets, *splats), meshes=(*self.scene.meshes, *meshes), lights=lights)
 
     def _uses_scene_lights(self, actors: list[PlacedActor]) -> bool:
-        """Returns whether this frame is lit by the scene's own lights, because the scene or an actor reflects them."""
+        """Returns whether the scene's own lights light this frame, because the scene or an actor reflects them."""
         reflecting = any(isinstance(actor, SplatInstance) and not emits_capture_only(actor) for actor in actors)
         return self._roles.uses_scene_lights or (reflecting and bool(self.scene.lights))
 
@@ -277,7 +277,7 @@ class AvatarLighter:
             _log.warning("%s", message)
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
-        """Returns the lights of mesh actors, and an environment from a probe at their centroid for indirect light.
+        """Returns the lights of mesh actors, and an environment for indirect light from a probe at their centroid.
 
         None of these lights casts shadows by rays. An estimated light is inside its own Gaussians, which would block
         it. The walls whose light the probe captured would block the environment.

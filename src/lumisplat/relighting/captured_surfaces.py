@@ -1,7 +1,7 @@
 """Voxelises a capture, and measures by regression how well a light explains the brightness of its surfaces.
 
-A light explains the brightness if captured surfaces are brighter where the light's irradiance would be larger, where
-the capture does not shadow them.
+A light explains the brightness if surfaces that the light reaches unshadowed are brighter, in proportion to the
+irradiance that they would receive.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SURFACE_THIN = 0.5
 
 SURFACE_DISC = 1.2
 """Radius, in standard deviations, of the circle on which a Gaussian's area is sampled to voxelise it: about the root
-mean square distance from its centre.
+mean square distance of the area from the centre.
 """
 
 SURFACE_PER_CELL = 3
@@ -48,8 +48,8 @@ SURFACE_CLIP = 0.98
 """
 
 SURFACE_OFFSET = 1.8
-"""Distance from a surface, in voxels, at which shadow rays start: longer than a voxel's diagonal, because the surface
-fills a voxel itself."""
+"""Distance from a surface, in voxels, at which shadow rays start. It exceeds a voxel's diagonal, so that the ray
+starts outside the voxel that the surface itself makes solid."""
 
 SURFACE_STEP = 0.7
 """Distance, in voxels, between the points of a shadow ray that are tested for solid voxels."""
@@ -286,7 +286,7 @@ _EVEN_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 class Trace(NamedTuple):
-    """Test result for one more light beside those already found: how well it explains the luminance of the surfaces."""
+    """Result of the test whether one more light shines: how well this light explains the luminance of the surfaces."""
 
     significance: float
     """Regression coefficient of the light's irradiance over its standard error; negative if lit surfaces are darker."""

@@ -556,7 +556,7 @@ def with_albedo(gaussians: Gaussians) -> Gaussians:
 
 @dataclass(frozen=True, slots=True)
 class LayerRenderer:
-    """Renders a capture's albedo, normals and roughness to images, as lit frames use these three."""
+    """Renders images of a capture's albedo, normals and roughness, with the values that lit frames use."""
 
     renderer: Renderer
     unlit: Renderer

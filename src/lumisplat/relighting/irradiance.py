@@ -19,7 +19,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
 
 ALPHA_LEAST = 1e-6
-"""Lower bound of a ray's alpha where the ray's alpha-weighted colour is divided by it."""
+"""Lower bound of a ray's alpha when the alpha-weighted colour of the ray is divided by the alpha."""
 
 VIEW_DIRECTIONS = 16
 """Number of view directions over which the median of a Gaussian's colour is taken."""
@@ -29,11 +29,12 @@ VIEW_TILT = 0.5
 """
 
 ALBEDO_HIGH = 0.8
-"""Assumed albedo of the lightest surfaces in their largest channel, which fixes the scale of estimated light."""
+"""Assumed albedo of the lightest surfaces in their largest channel. This assumption fixes the scale of estimated
+light."""
 
 UNIT_IRRADIANCE_MIN = 0.05
-"""A Gaussian is used to estimate the radiance of environment and emitters only if its irradiance from them, at
-radiance 1 and relative to the median, is above this."""
+"""A Gaussian is used to estimate the radiance of environment and emitters only if the irradiance that these two would
+give it with radiance 1, relative to the median Gaussian's, is above this."""
 
 UNSEEN_RADIANCE_MIN = 0.05
 """Lower bound of the initial radiance of environment and emitters, in units of display white."""

@@ -52,13 +52,13 @@ LIGHT_SEARCH_CLIP = 0.99
 captures are a hundred times too bright."""
 
 LIGHT_SEARCH_PRIOR = 4.0
-"""Number of virtual Gaussians, with the median squared score, added to each octant around a candidate light. They keep
-a single outlier from deciding the octant's mean.
+"""Number of virtual Gaussians, with the median squared score, added to each octant around a candidate light, so that a
+single outlier does not decide the octant's mean.
 """
 
 LIGHT_SEARCH_BROAD = 0.05
-"""Lower bound of a candidate's contrast, by which its score is multiplied. Contrast: 1 - (score of the surroundings) /
-(score of the candidate)."""
+"""Lower bound of the contrast of a candidate light; the score of the candidate is multiplied by the contrast.
+Contrast: 1 - (score of the surroundings) / (score of the candidate)."""
 
 # Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
@@ -99,9 +99,9 @@ class LightEstimate:
     scores: FloatArray
     """Score of each light: brightness, constancy over views and opacity of its Gaussian, times contrast, shape (k,)."""
     peakness: FloatArray
-    """Ratio of the score of each light's Gaussian to the score of its surroundings, shape (k,): above 1 for a light
-    that is brighter than these. The score of surroundings is the root mean square over Gaussians in their brightest
-    octant."""
+    """Score of each light's Gaussian, divided by the score of its surroundings, shape (k,): above 1 for a light that
+    is brighter than its surroundings. The latter score is the root mean square over the brightest octant of
+    surroundings."""
     instances: Rows
     """Index of the scene's splat instance to which each light's Gaussian belongs, shape (k,)."""
     indices: Rows
@@ -116,8 +116,8 @@ class _Sizes:
     """Distances of the light search, scene units: from `LightEstimationConfig`, else multiples of the scene's size."""
 
     extent: float
-    """Radius that counts as the scene's size. It is configured, or else the distance from the centre of the character
-    to be lit within which 98 % of the capture's means lie."""
+    """Size of the scene: the configured search radius, or else the distance from the centre of the character to be lit
+    within which 98 % of the capture's means lie."""
     radius: float
     """Radius around the centre of the character to be lit within which Gaussians may be lights."""
     viewpoints: float

@@ -258,7 +258,7 @@ class EnvironmentProbe:
         return read_only_view(_without_ringing(radiance))
 
     def light(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> LightEnvironment:
-        """Returns an environment light with the probe's radiance; it is no background, only reflections show it.
+        """Returns an environment light with the probe's radiance. Only reflections show it; it is no background.
 
         Args:
             height: Height of the light's image, pixels, 1 to 8192.

@@ -194,8 +194,8 @@ def widened(variances: Doubles) -> Doubles:
     """Returns weights that replace each of R trial roughnesses by a larger one where normals vary, shape (N, R, R).
 
     Row r of a Gaussian holds the weights of the R trial roughnesses that interpolate values at the larger roughness.
-    Slopes of microfacets have the variance alpha^2 / 2 along an axis. The variance of the normals is added to it
-    (Toksvig 2005), so that alpha^2 becomes alpha^2 + 2 variances. Cubics (Lagrange) interpolate between roughnesses of
+    The slopes of microfacets have the variance alpha^2 / 2 along an axis. The variance v of the normals adds to this
+    variance (Toksvig 2005), so that alpha^2 becomes alpha^2 + 2 v. Cubics (Lagrange) interpolate between roughnesses of
     the grid.
 
     Args:
@@ -314,7 +314,7 @@ def frames_of(normals: Doubles) -> Doubles:
 
 
 def bins_of(directions: Doubles) -> Rows:
-    """Returns the bin, (N,), of each of N local directions with z > 0: a ring of equal height, and a sector of it."""
+    """Returns the bin of each of N local directions with z > 0, (N,): rings of equal height, cut into equal sectors."""
     ring = np.clip(directions[:, 2] * BIN_RINGS, 0, BIN_RINGS - 1).astype(int)
     sector = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) * BIN_SECTORS).astype(int)
     return ring * BIN_SECTORS + sector % BIN_SECTORS

@@ -79,7 +79,7 @@ class SunEstimate:
 def estimate_sun(
     scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike | None = None, *, progress: Progress | None = None
 ) -> SunEstimate | None:
-    """Estimates the sun of a capture: surfaces that face its direction, unshadowed, are brighter than others.
+    """Estimates the sun of a capture: the direction from which surfaces that face it, unshadowed, are brighter.
 
     The capture is voxelised. For each of some hundred directions, the cosines of the surfaces are computed, 0 where
     voxels shadow them. A regression tests how much of the luminance a sun in this direction explains beyond a smooth

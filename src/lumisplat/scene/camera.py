@@ -252,7 +252,7 @@ class Camera:
         """Returns the same view at another resolution; a missing side follows from the aspect ratio.
 
         Raises:
-            SceneError: The camera has a window, whose scaled edges might not lie on whole pixels.
+            SceneError: The camera has a window. The window's edges, scaled, might not lie on whole pixels.
         """
         if width is None and height is None:
             return self

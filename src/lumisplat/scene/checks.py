@@ -92,10 +92,10 @@ COLOR, UNIT_COLOR = LinearColor(), LinearColor(1.0)
 
 
 def items_of(name: str, values: object) -> Iterable[object]:
-    """Returns ``values`` unchanged if they are iterable, such as a list; ``name`` names them in the error.
+    """Returns ``values`` unchanged if they are iterable, such as a list.
 
     Raises:
-        SceneError: ``values`` is a single object.
+        SceneError: ``values`` is a single object; the message calls the argument ``name``.
     """
     if not _is_iterable(values):
         raise SceneError(f"{name} is a {type(values).__name__}, expected a list")
@@ -103,7 +103,7 @@ def items_of(name: str, values: object) -> Iterable[object]:
 
 
 def with_checked(item: _Item, **values: object) -> _Item:
-    """Copies a frozen dataclass with fields replaced by ``values``, which must be valid, because no check runs."""
+    """Copies a frozen dataclass with fields replaced by ``values``. No check runs, so ``values`` must be valid."""
     changed = copy.copy(item)
     for name, value in values.items():
         object.__setattr__(changed, name, value)

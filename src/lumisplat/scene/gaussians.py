@@ -70,12 +70,13 @@ class Gaussians:
     metallic: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Metalness, 0..1, shape (N,); None: lighting uses the metalness of the material."""
     antialiased: bool = field(default=False, kw_only=True)
-    """True if the capture was trained with Mip-Splatting's opacity compensation, and must be rendered with it."""
+    """True if the capture was trained with Mip-Splatting's opacity compensation; rendering then applies it, too."""
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] = field(default=KERNEL_DEGREE, kw_only=True)
     """Exponent of the distance in the kernel that the capture was trained with: 0 is linear, 2 the Gaussian of
-    ordinary captures, 5 quintic. Only the ray tracer uses it; the rasteriser draws every capture with degree 2."""
+    ordinary captures, 5 quintic. Only the ray tracer uses this degree; the rasteriser draws every capture with degree
+    2."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
-    """Comment lines of the file from which the capture was read; conversions to other files keep them."""
+    """Comment lines of the file from which the capture was read; conversions to other file formats keep the lines."""
     incident: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
     """Indirect light at each Gaussian when the images were taken, as Relightable 3D Gaussians trains it in addition to
     the environment: SH coefficients of incident linear radiance, shape (N, J, 3) with J = 1, 4, 9 or 16 coefficients
@@ -87,7 +88,7 @@ class Gaussians:
     `lumisplat.Scene` does."""
     first_view: Camera | None = field(default=None, kw_only=True)
     """Default camera for looking at the capture, such as the camera of one of its images; None: unknown. The camera's
-    ``focus_distance`` is the depth of the point at which it looks."""
+    ``focus_distance`` is the depth of the point at which the camera looks."""
 
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
     """World position of the capture's coordinate origin, scene units, float64; a transform given to an instance

@@ -291,7 +291,8 @@ class LightDirectional:
 class LightSphere:
     """A spherical area light. Frames show the sphere itself only with the path pipeline.
 
-    Outside the sphere, it lights like a ``LightPoint`` of the same radius with ``intensity * pi * radius^2`` candela.
+    Points outside the sphere receive the light of a ``LightPoint`` of the same radius with ``intensity * pi *
+    radius^2`` candela.
 
     Raises:
         SceneError: A value is negative, not finite or of the wrong shape.
@@ -534,7 +535,7 @@ class LightEnvironment:
     """World-from-environment rotation, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), 180 degrees
     about x."""
     visible: bool = True
-    """Show the environment as the background of frames; mirrors reflect it whether it is visible or not."""
+    """Show the environment as the background of frames. Mirrors reflect the environment in either case."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the environment lights the scene and may be its background; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -553,7 +554,7 @@ class LightEnvironment:
 FlatLight = LightRect | LightDisk
 """Lights that shine from one side of a plane."""
 AreaLight = LightSphere | LightRect | LightDisk
-"""Lights with an emitting surface: their intensity is a radiance, and the path pipeline shows them."""
+"""Lights with an emitting surface. Their intensity is a radiance, and frames of the path pipeline show the surface."""
 RoundLight = LightPoint | LightSpot | LightSphere | LightDisk
 """Lights with a position and a radius."""
 AimedLight = LightSpot | LightDirectional | LightDisk
@@ -590,9 +591,9 @@ def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles
 
 
 def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
-    """Transforms a light together with the object that it belongs to.
+    """Transforms a light together with the object to which it belongs.
 
-    The light's size is scaled; its intensity and range stay, as in glTF.
+    The size of the light is scaled; its intensity and range stay, as in glTF.
 
     Args:
         light: Any light; environments are returned unchanged.

@@ -107,7 +107,8 @@ class MaterialPbr:
     """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,volume,...}).
 
     At roughness 0 the surface is smooth, and reflects or refracts rays in one direction: a metal is a mirror, a
-    transmissive dielectric is glass. Unlit frames show smooth surfaces so, too, and the base colour of all others.
+    transmissive dielectric is glass. Unlit frames show smooth surfaces as such, and all other surfaces in their base
+    colour.
 
     Raises:
         SceneError: A value is outside its range, or a texture is not (H, W, 3 or 4) uint8.

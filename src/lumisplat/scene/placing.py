@@ -112,12 +112,12 @@ class Placement(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlacedInstance:
-    """Base class of `SplatInstance` and `MeshInstance`, which declare ``world_from_object`` and fill it by `_place`."""
+    """Base class of `SplatInstance` and `MeshInstance`. These declare ``world_from_object``, and set it by `_place`."""
 
     name: str = ""
     position: InitVar[npt.ArrayLike | None] = None
-    """World position of the object's origin, shape (3,); None: the origin that the capture or mesh stores. With the
-    other placement arguments (angles, scale, up, target, front) it replaces ``world_from_object``."""
+    """World position of the object's origin, shape (3,); None: the origin that the capture or mesh stores. The
+    placement arguments (position, angles, scale, up, target, front) replace ``world_from_object``."""
     rotation_degrees: InitVar[npt.ArrayLike | None] = None
     """Rotations about the x, then y, then z axis in degrees, shape (3,), before the object is stood upright."""
     scale_by: InitVar[float | None] = None
@@ -151,7 +151,7 @@ class PlacedInstance:
         object.__setattr__(self, "world_from_object", placed(world_from_object, placing, origin))
 
     def _placement(self) -> str:
-        """Returns the instance's name, position, and scale unless it is 1, as text for ``repr``."""
+        """Returns text for ``repr``: the instance's name and position, and the scale if it is not 1."""
         matrix = self.transform
         scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
         scaled = f", scale={scale:.4g}" if abs(scale - 1.0) > SIMILARITY_TOLERANCE else ""

@@ -32,7 +32,7 @@ Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
 
 _BINS = 2**14
-"""Number of histogram bins of `bulk_extent`, which sorts only the heights in the bin of a weighted quantile."""
+"""Number of histogram bins of `bulk_extent`. Only the heights in the bin that contains a quantile are sorted."""
 
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
@@ -232,7 +232,7 @@ class Scene:
         return None
 
     def _stated_up(self) -> Vector | None:
-        """Returns the world-space up direction of the first capture whose ``up`` is not None; None if there is none."""
+        """Returns the world-space up direction of the first capture that has an ``up``; None if no capture has one."""
         for instance in self.splats:
             if instance.gaussians.up is not None:
                 return moved_orientation(instance.gaussians, instance.transform)["up"]

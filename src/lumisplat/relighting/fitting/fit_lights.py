@@ -37,8 +37,8 @@ COARSE_SAMPLES = 0.25
 """Samples per pixel in the search for light positions, as a fraction of the samples in the fit."""
 
 LATTICE_SIDES = (3, 4)
-"""Lattices of trial light positions: n means n^3 positions in the scene's box. Both are searched, one after the other.
-A search of only one of them placed one of three lights wrongly from one image."""
+"""Lattices of trial light positions, searched one after the other: n means n^3 positions in the scene's box. A search
+of only one of the lattices placed one of three lights wrongly from one image."""
 
 STEPS_EXPECTED = 12
 """Number of Gauss-Newton steps that a search is expected to take, for the progress bar. Searches that began near the

@@ -209,8 +209,8 @@ def _mask(label: str, mask: Any, size: tuple[int, ...]) -> Flags:
 
 
 FIT_SAMPLES_OF_PATHS = 64
-"""Samples per pixel for each light in path-traced fits. With 128 x 96 pixels, they determine the power of a light to a
-few thousandths."""
+"""Samples per pixel for each light in path-traced fits. In images of 128 x 96 pixels, this number determines the power
+of a light to a few thousandths."""
 
 SMOOTH_REACH = 1.0 / 32.0
 """Half the side of the square of pixels over which indirect light is averaged, as a fraction of the render's longer
@@ -237,7 +237,7 @@ Layer = Callable[[Scene, Frame], Doubles]
 _Instances = tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]]
 _PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
 _DISABLED_LIGHT = LightPoint((0.0, 0.0, 0.0), enabled=False)
-"""Disabled light given to scenes without lights: with it the renderer adds no headlight."""
+"""Disabled light that is added to scenes without lights, so that the renderer adds no headlight."""
 _UNLIT_WEIGHT_MAX = 1e-3
 """A pixel is fitted only if unlit captures and background cover less than this fraction of the pixel."""
 
@@ -385,7 +385,7 @@ class SurfaceAverage:
     """Lists, for each pixel of a view, the nearby pixels on its surface; indirect light is averaged over them."""
 
     albedo: Doubles
-    """Albedo, at least `SMOOTH_ALBEDO_MIN`, by which light is divided before averaging, shape (H, W, 3)."""
+    """Divisor of light before averaging: the albedo, at least `SMOOTH_ALBEDO_MIN`, shape (H, W, 3)."""
     offsets: tuple[tuple[int, int], ...]
     """Row and column offsets of the D neighbours of a pixel, itself included."""
     same_surface: Flags

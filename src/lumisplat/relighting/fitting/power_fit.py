@@ -72,7 +72,7 @@ class Columns:
     renders: Doubles
     """The K renders to be scaled, each made twice with independent noise, N pixels, shape (2, K, N, 3)."""
     fixed: Doubles
-    """Render of emission and of lights whose power is held, twice with independent noise, shape (2, N, 3)."""
+    """Render, twice with independent noise, of the emission and of all lights with held power, shape (2, N, 3)."""
     tints: tuple[Doubles | None, ...]
     """Held colour, shape (3,), of each of the K renders whose light has one unknown, the scale of this colour. None:
     the render has one unknown per channel."""
@@ -296,8 +296,8 @@ BLOCK_PX = 8
 """Side, in pixels, of the square blocks within which residuals count as correlated for standard errors."""
 
 _SH_RIDGE = 1e-7
-"""Relative ridge on the environment's SH coefficients above degree 0. Where no surface receives light, it makes them
-tend to 0, a constant environment."""
+"""Relative ridge on the environment's SH coefficients above degree 0. Where no surface receives light, the
+coefficients tend to 0, a constant environment."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

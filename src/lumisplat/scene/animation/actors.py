@@ -126,8 +126,8 @@ class Deforming:
 
 
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
-"""Types that an actor may show. A `Scene` shows its captures and meshes, a `Deforming` the instances that it reads for
-the time.
+"""Types that an actor may show. A `Scene` shows its captures and meshes; a `Deforming` shows the instances that it
+reads for the current time.
 """
 _Item = TypeVar("_Item")
 
@@ -154,7 +154,8 @@ class Actor:
     casts_shadow: bool = field(default=True, kw_only=True)
     """Whether the actor casts shadows on the captures of the scene."""
     relight: bool = field(default=True, kw_only=True)
-    """Relight the actor's Gaussians by a probe of the scene at its position; False: they keep their captured colours.
+    """Relight the actor's Gaussians by a probe of the scene at the actor's position; False: the Gaussians keep their
+    captured colours.
     """
     clip: str | None = field(default=None, kw_only=True)
     """Name of the animation clip of the actor's rig; None: the rig's first clip."""
@@ -235,7 +236,7 @@ class Actor:
         return rig.duration(self.clip) if rig is not None and rig.clips else 0.0
 
     def _own_time(self, time: float) -> float:
-        """Returns ``speed`` times the animation's time, wrapped at the end of the clip or file sequence if it loops."""
+        """Returns ``speed`` times the animation's time; for loops, modulo the length of the clip or file sequence."""
         own, length = self.speed * time, self._length()
         return own % length if self.loop and length > 0.0 else own
 

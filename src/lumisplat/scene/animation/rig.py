@@ -88,7 +88,7 @@ class Track:
         return (1.0 - share) * first + share * second
 
     def _normalise(self, value: Doubles) -> Doubles:
-        """Scales an interpolated rotation to length 1, which splines do not preserve; returns other values as given."""
+        """Scales an interpolated rotation to length 1, which splines do not keep; returns other values as given."""
         return value / np.linalg.norm(value) if self.channel is Channel.ROTATION else value
 
 
@@ -184,7 +184,7 @@ class MorphTargets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigPart:
-    """One skinned mesh: V vertices in the bind pose, and the J joints that move them, up to K for each vertex."""
+    """One skinned mesh: V vertices in the bind pose, and J joints; each vertex is moved by up to K of the joints."""
 
     positions: FloatArray
     """Vertex positions in the bind pose, before morph targets, shape (V, 3)."""
@@ -283,7 +283,7 @@ class RigPose:
     world_from_node: Doubles
     """Transforms of the N nodes to world space, shape (N, 4, 4)."""
     morph_weights: dict[int, Doubles]
-    """Morph-target weights by node index, for the nodes whose weights the clip animates."""
+    """Weights of morph targets by node index, only for nodes with weights that the clip animates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

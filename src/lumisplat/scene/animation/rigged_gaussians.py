@@ -144,7 +144,7 @@ def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
 
 
 def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
-    """Returns N Gaussians' shading normals, (N, 3), interpolated from vertex normals; without these, ``flat``."""
+    """Returns N Gaussians' shading normals, (N, 3), interpolated from vertex normals; ``flat`` if there are none."""
     if vertex_normals is None:
         return flat
     lengths = np.linalg.norm(vertex_normals, axis=1, keepdims=True)

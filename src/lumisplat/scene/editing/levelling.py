@@ -22,8 +22,8 @@ from lumisplat.scene.scene import Scene, SplatInstance
 _SAMPLES = 8_000
 """Approximate number of a scene's Gaussians that the search for the ground uses: every n-th one."""
 _PLANES = 1_500
-"""Number of random planes tried as the ground. A plane goes through a random Gaussian and two of `_DRAWN` others drawn
-at random: the second and the third nearest to it."""
+"""Number of random planes tried as the ground. For each plane, a Gaussian and `_DRAWN` further ones are drawn; the
+plane goes through the first one and through the second and third nearest to it."""
 _DRAWN = 8
 _THICKNESS = 0.012
 """Distance from a ground plane, relative to the size of the capture, up to which Gaussians belong to the ground."""
@@ -52,7 +52,7 @@ _UPRIGHT = math.cos(math.radians(5.0))
 """Without a ground, the guessed up direction is kept if its cosine to the principal axis is above this (less than 5
 degrees off): principal axes are no more accurate."""
 _APART = 1.2
-"""A principal axis is distinct if the extent along it and each other extent differ by at least this factor."""
+"""A principal axis is distinct if its extent and each of the two other extents differ by at least this factor."""
 _LONG, _STANDS = 1.7, math.cos(math.radians(70.0))
 """An object is long if its longest extent exceeds the second by the factor `_LONG`. It stands, and does not lie, if
 the cosine between its long axis and the guessed up direction exceeds `_STANDS`."""

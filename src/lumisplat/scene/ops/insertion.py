@@ -40,8 +40,8 @@ _SIZE_IN_VIEW = 0.4
 """Largest ratio of an object's diagonal to the scene's at which the object keeps its size, in a scene with a first
 view: a larger object would hide the view's subject."""
 _OWN_SIZE = 0.25
-"""Ratio of an object's diagonal to the captures' after an object in other units is scaled: it should not fill the
-image.
+"""Ratio of an object's diagonal to the captures' diagonal to which objects in other units are scaled, so that the
+object does not fill the image.
 """
 _CELLS_ACROSS = 6
 """Number of cells of the ground grid across the wider side of an inserted object's footprint."""
@@ -55,13 +55,13 @@ _SPACINGS = 1.5
 """Smallest side of a grid cell, in units of the mean distance that the scene's points would have if they were spread
 evenly over the ground."""
 _MESH_POINTS = 400_000
-"""Number of points sampled on all meshes of a scene together; at most a twentieth of them on one mesh."""
+"""Number of points sampled on all meshes of a scene together; a single mesh gets at most a twentieth of these."""
 _OUTWARDS = 0.4
 """A capture is an object and not a room if the mean cosine between its normals and the directions from its centre
 exceeds this; most objects have 0.5 or more."""
 _UPRIGHT = 0.2
-"""Lower bound of a mesh triangle's projected area on the ground, relative to its area: walls, whose projection is 0,
-must still block cells."""
+"""Lower bound of the area that a mesh triangle covers on the ground, relative to the triangle's area: walls have a
+projection of 0, and must still block cells."""
 _CLIMBS = 3
 """Number of times that a found ground may rise from the underside of a thick floor towards its top, each time by at
 most the object's height."""
@@ -269,7 +269,7 @@ class _VisibleScene:
     """Area on the ground plane that each mesh point, or each Gaussian times its opacity, covers, square scene units,
     shape (N,)."""
     solid: Flags
-    """True for points of closed meshes and of captures of objects, which block all space below them, shape (N,)."""
+    """True for points that block all space below, shape (N,): those of closed meshes and of captures of objects."""
     low: Doubles
     """Lower corner of the box around the captures, less 2 % of opacity at each end, shape (3,); without captures,
     around the meshes."""
@@ -417,8 +417,8 @@ def _before(visible: _VisibleScene, view: Camera) -> tuple[Doubles, float]:
 def _start(visible: _VisibleScene, own: Doubles) -> Doubles:
     """Returns x and z, shape (2,), of the point from which the nearest free position for an object is searched.
 
-    The point is the object's own position ``own`` if ``own`` is inside the scene and visible in the first view, if
-    there is one. Otherwise it is a point straight ahead in the first view, or the scene's centre without a first view.
+    With a first view: ``own``, the object's own position, if it is inside the scene and in the view, else a point
+    straight ahead in the view. Without one: ``own`` if it is inside the scene, else the scene's centre.
     """
     middle = 0.5 * (visible.low + visible.high)
     inside = bool(((visible.low[[0, 2]] <= own) & (own <= visible.high[[0, 2]])).all())

@@ -119,7 +119,7 @@ def _thin_axes(smooth: _Floats, flat: _Floats) -> _Floats:
 
 
 def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Returns each disc's axes as columns: across the nearest crease, along it, and the normal, (N, 3, 3).
+    """Returns the axes of N discs as columns, (N, 3, 3): across the nearest crease, along the crease, and the normal.
 
     Discs far from creases have arbitrary in-plane axes.
     """
@@ -201,7 +201,7 @@ def _grow_scales(
 
 
 def _covering_pairs(pairs: Pairs, chosen: _Indices, inner: npt.NDArray[np.bool_]) -> tuple[_Indices, _Indices]:
-    """Pairs each candidate that is ``inner`` and not a centre of a Gaussian with the Gaussians near it.
+    """Pairs each candidate that is ``inner`` and no Gaussian's centre with the Gaussians near the candidate.
 
     Returns:
         Index of the candidate and index of the Gaussian of each pair.
@@ -317,7 +317,7 @@ def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) 
 
 
 def _same_side(pairs: Pairs, normals: _Floats) -> Pairs:
-    """Drops pairs of points whose normals are opposed, so that the two sides of a thin wall are sampled apart."""
+    """Drops pairs of points with opposed normals, so that the two sides of a thin wall are sampled separately."""
     cosines = np.einsum("ij,ij->i", normals[pairs.first], normals[pairs.second])
     return pairs.where(cosines > SAMPLING_FACING_COSINE)
 

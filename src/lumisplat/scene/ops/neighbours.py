@@ -17,7 +17,7 @@ _Floats = npt.NDArray[np.floating]
 
 
 def sort_morton(gaussians: Gaussians) -> Gaussians:
-    """Sorts a capture along a Morton curve (Morton 1966), which makes the capture's file compress better.
+    """Sorts a capture along a Morton curve (Morton 1966); the capture's file then compresses better.
 
     Args:
         gaussians: Capture.

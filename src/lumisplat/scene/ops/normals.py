@@ -51,8 +51,8 @@ OUTSIDE_REACH = 1.5
 on a surface touch at this radius."""
 
 OUTSIDE_STEPS_MAX = 12
-"""Largest number of sample points from the centre to the rim of a disc that is voxelised. It bounds the time for a few
-huge Gaussians, whose discs may then have holes.
+"""Largest number of sample points from the centre to the rim of a disc that is voxelised. The limit bounds the time
+for a few huge Gaussians; their discs may then have holes.
 """
 
 OUTSIDE_CONNECTED = 0.25
@@ -116,8 +116,8 @@ def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> Floa
 
     Gaussians are voxelised as solid; free cells connected to the edge of the grid are outside. The openness on both
     sides of a Gaussian is compared along its axis at distances of one cell, two, four and so on, until one side is
-    clearly more open. The shape need not be convex, and a plate that is at least about a cell thick has two sides.
-    Where both sides stay equal, as for a single sheet, the axes are turned to one common side.
+    clearly more open. The object need not be convex, and a plate that is at least about a cell thick has two sides.
+    Where both sides stay equally open, as for a single sheet, the axes are turned to one common side.
 
     Args:
         gaussians: N Gaussians.
@@ -229,7 +229,7 @@ def _shift(flags: Flags, u: int, v: int) -> Flags:
 
 
 def _outside(solid: Flags) -> Flags:
-    """Returns a mask of the free cells connected to corner cell (0, 0, 0), which is outside, through cell faces."""
+    """Returns a mask of the outside: free cells that are connected through cell faces to the corner cell (0, 0, 0)."""
     labels, _ = ndimage.label(~solid)
     return labels == labels[0, 0, 0]
 
