@@ -30,7 +30,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_li
 _log = logging.getLogger("lumisplat")
 
 _DARK = 0.3
-"""A warning reports that a relit actor appears dark if the mean factor on the actor's captured colours is below this.
+"""A warning reports a dark actor if the mean factor by which relighting multiplies the actor's captured colours is
+below this.
 """
 
 

@@ -79,9 +79,9 @@ class Gaussians:
     """Comment lines of the file from which the capture was read; conversions to other file formats keep the lines."""
     incident: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
     """Indirect light at each Gaussian when the images were taken, as Relightable 3D Gaussians trains it in addition to
-    the environment: SH coefficients of incident linear radiance, shape (N, J, 3) with J = 1, 4, 9 or 16 coefficients
-    per channel; the radiance is max(SH sum, 0). Lumisplat stores the coefficients for other programs and does not light
-    with them."""
+    the environment: SH coefficients of incident linear radiance, which is max(SH sum, 0). Shape (N, J, 3) with J = 1,
+    4, 9 or 16 coefficients per channel. Lumisplat stores the coefficients for other programs and does not light with
+    them."""
 
     up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
     """Unit vector that points up in the capture; None: unknown. Accepts an axis name or a direction, as

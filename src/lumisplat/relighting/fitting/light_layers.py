@@ -220,8 +220,8 @@ SMOOTH_COSINE_MIN = 0.9
 """Smallest cosine between the normals of two pixels that count as showing one surface."""
 
 SMOOTH_PLANE = 0.2
-"""Two pixels show one surface only if the second pixel's point is close to the tangent plane of the first: its
-distance from the plane is at most this times the distance between the points."""
+"""Two pixels show one surface only if the point of the second lies near the tangent plane of the first: the distance
+from the plane is at most this times the distance between the two points."""
 
 SMOOTH_ROUGHNESS_MIN = 0.3
 """Smallest roughness of materials whose indirect light is averaged over neighbouring pixels: reflections in smoother

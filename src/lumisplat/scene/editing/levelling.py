@@ -37,8 +37,8 @@ _GROUND_LEAST = 0.06
 """A plane is a ground only if at least this fraction of the scene's visible weight (opacity times area) lies within
 `_THICKNESS` of the plane."""
 _FLAT_LEAST = 0.6
-"""Smallest ratio of the visible weight within `_THICKNESS` of a ground plane to the visible weight within twice
-`_THICKNESS`: the ratio is near 1 on a flat ground, 0.5 in a slice of a wall."""
+"""Smallest ratio, for a ground plane, of the visible weight within `_THICKNESS` to that within twice `_THICKNESS`. The
+ratio is near 1 on a flat ground, and 0.5 in a slice of a wall."""
 _BELOW_MOST = 0.12
 """Largest fraction of the scene's visible weight (opacity times area) below a ground plane."""
 _NEAR_STATED = math.cos(math.radians(50.0))
@@ -90,11 +90,11 @@ class _Cloud:
 def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
     """Estimates the up direction of a scene of captures.
 
-    The ground is the plane that contains most of the visible weight (opacity times area), with little weight below,
-    much weight standing on it, and free space above at least part of it (random sample consensus, Fischler and Bolles
-    1981, then least squares). If the scene or a capture states an up direction, the ground's normal is at most 50
-    degrees off; a guessed up direction only decides between equally good planes. Without a ground, a stated direction
-    is returned.
+    The ground is the plane that contains most of the visible weight (opacity times area). Little weight lies below the
+    ground, much weight stands on it, and part of the space above it is free. The plane is found by random sample
+    consensus (Fischler and Bolles 1981), then least squares. If the scene or a capture states an up direction, the
+    ground's normal is at most 50 degrees off; a guessed up direction only decides between equally good planes. Without
+    a ground, a stated direction is returned.
 
     Without a ground and a stated direction, `Scene.up_direction` is a guess. Up is then the principal axis nearest to
     the guess. Only axes along which the scene is clearly longer or shorter than along the two others are considered; a

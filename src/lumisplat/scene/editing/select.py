@@ -18,8 +18,8 @@ FLOATER_NEIGHBOURS = 4
 """Default number of other Gaussians that must be near a Gaussian for `remove_floaters` to keep it."""
 
 FLOATER_REACH = 3.0
-"""Default radius within which `remove_floaters` counts other Gaussians, in units of the Gaussian's largest scale
-(about where its visible footprint ends), or in units of the capture's median largest scale if that is more."""
+"""Default radius within which `remove_floaters` counts other Gaussians. Unit: the Gaussian's largest scale, or the
+capture's median largest scale if that is more. At 3 scales the visible footprint of a Gaussian about ends."""
 
 Range = tuple[float | None, float | None]
 """Smallest and largest value of Gaussians to keep, both included; None: no limit on this side."""

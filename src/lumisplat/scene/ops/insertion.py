@@ -90,8 +90,8 @@ _RISE = 0.5
 """Largest height of a ground cell above the floor, in object heights; higher surfaces, such as tables, are no ground.
 """
 _SCENE_OF_VIEW = 2.5
-"""Upper bound of the scene's size, in focus distances of a capture's first view: the extent of a distant background,
-such as a sky, does not depend on the size of the view's subject."""
+"""Upper bound of the scene's size, in focus distances of a capture's first view. A distant background, such as a sky,
+can extend much farther, whatever the size of the view's subject."""
 _BEFORE = 0.8
 """View depth, in focus distances, at which an object is inserted into a first view that shows no ground."""
 _ASIDE_IN_VIEW = 0.12
@@ -99,8 +99,8 @@ _LOW_IN_VIEW = 0.36
 """Image heights below the centre at which the foot of an inserted object appears in a first view that shows no ground.
 The foot also appears `_ASIDE_IN_VIEW` image widths to the right of the centre."""
 _ASIDE = 0.5
-"""Largest fraction by which the cost of a position, its distance from the start, is reduced if the position lies to
-the front and right of the start: an object there is visible and hides little.
+"""Preference for positions to the front and right of the start, where an object is visible and hides little. The cost
+of a position is its distance from the start; it is reduced there by up to this fraction.
 """
 
 

@@ -72,8 +72,8 @@ SAMPLING_GROWTH_STEPS = 8
 """Largest number of growth steps of a disc Gaussian: it reaches at most 1.08^8 = 1.85 times its first scale."""
 
 SAMPLING_GROWTH_REACH = 0.5
-"""At an uncovered point, the disc with the smallest Gaussian exponent there grows, and so does every disc whose
-exponent exceeds the smallest one by at most this, so that no disc grows alone."""
+"""At an uncovered point, the disc with the smallest Gaussian exponent grows. Discs whose exponent is larger by at most
+this grow with it, so that no disc grows alone."""
 
 SAMPLING_COVERED_ALPHA = 0.95
 """Alpha of all discs together from which a candidate point counts as covered."""
