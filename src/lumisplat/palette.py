@@ -114,7 +114,8 @@ class _Entries:
         rank = np.arange(len(owner)) - (np.cumsum(shares) - shares)[owner]
         self._used: Indices = LANES * self.first_row[owner] + rank
         self.values = np.full((self.first_row[-1] * LANES, vectors.shape[1]), _FAR, dtype=np.float32)
-        """Entries with D components, 16 for each row, shape (16 * number of rows, D); unused ones hold `_FAR`."""
+        """Entries of D components each, shape (16 * number of rows, D): a row is 16 consecutive entries. Unused entries
+        hold `_FAR`."""
         # Entries start at vectors spread evenly over the group: captures in Morton order make that even in space.
         members = np.argsort(group, kind="stable")
         sizes = np.bincount(group, minlength=len(shares))

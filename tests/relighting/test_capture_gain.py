@@ -84,7 +84,9 @@ def test_estimated_capture_gain_makes_an_object_as_bright_as_the_capture_around_
         (ls.Scene([shell(0.5)]), "give the position"),
     ],
 )
-def test_capture_gain_estimate_refuses_scenes_without_captured_light(scene: ls.Scene, message: str) -> None:
+def test_estimate_capture_gain_refuses_scenes_without_a_capture_shown_as_captured(
+    scene: ls.Scene, message: str
+) -> None:
     """A scene without an unlit capture, or without an object and a position, is refused."""
     with pytest.raises(ls.SceneError, match=message):
         ls.avatars.estimate_capture_gain(scene, device="cpu")

@@ -254,7 +254,7 @@ def test_split_comparison_shows_the_scene_before_edits_left_and_after_them_right
     assert (split_image(before, after, 0.0)[:, 1:] == 90).all()
 
 
-def test_noise_warnings_of_the_render_thread_are_not_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_viewer_logs_no_warnings_that_its_images_are_noisy(caplog: pytest.LogCaptureFixture) -> None:
     """Noise warnings of other threads are logged, also while a viewer is open."""
     renderers = Renderers("cpu", lambda label, share: None)
     scene = ls.Scene(meshes=[ls.box(1.0)], lights=[ls.LightEnvironment()])

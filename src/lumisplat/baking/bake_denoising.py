@@ -10,8 +10,10 @@ import numpy.typing as npt
 from lumisplat.math.arrays import Doubles, Flags
 
 SHARED_COLOR_MIN = 0.02
-"""Lower bound of the colour in a constant environment by which a ray's deviation of radiance is divided. On darker
-rays, deviations count less, because they are due to reflections rather than to noise of the light."""
+"""Lower bound of the divisor of a ray's deviation from the shared radiance.
+
+The divisor is the colour of the ray's hits in a constant environment of radiance 1. Deviations of darker rays thus
+count less, because they are due to reflections rather than to noise of the light."""
 
 _Rows = npt.NDArray[np.int64]
 

@@ -98,7 +98,7 @@ class SampleRays:
         )
 
     def put(self, first: int, some: SampleRays) -> None:
-        """Copies the distributions ``some`` to the rows from ``first`` on, in place."""
+        """Overwrites the rows from row ``first`` on with the distributions ``some``, one per row."""
         rows = slice(first, first + len(some.gaussian))
         for name in self.__slots__:
             getattr(self, name)[rows] = getattr(some, name)

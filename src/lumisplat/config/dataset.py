@@ -90,9 +90,8 @@ class DatasetPoses:
     """Largest rotation, about any axis, of a view's camera from the given camera that it starts from, with
     ``CAMERAS``."""
     aim: Share = 0.1
-    """Largest distance between the point that a camera looks at and the scene's centre with ``DOME``, along each axis,
-    as a fraction of the scene's size along that axis.
-    """
+    """With ``DOME``: largest random distance of a camera's target from the scene's centre along each axis, as a
+    fraction of the scene's size along that axis."""
     roll: Annotated[float, Range(0.0, 180.0, "degrees")] = 0.0
     """Largest rotation of cameras about their viewing direction."""
     fov: Annotated[Span, Range(1.0, 179.0, "degrees")] = (35.0, 60.0)

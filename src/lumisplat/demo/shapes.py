@@ -282,7 +282,16 @@ def fluted_lathe(profile: npt.ArrayLike, flutes: int, depth: float, *, columns: 
 
 
 def rounded_profile(corners: npt.ArrayLike, radius: float, *, segments: int = 6) -> _Floats:
-    """Rounds the inner corners of a polyline of R points by ``radius``, or by less at short edges, shape (R, 2)."""
+    """Rounds all points of a polyline but its two ends, by ``radius``, or by less at short edges.
+
+    Args:
+        corners: R points of the polyline, shape (R, 2).
+        radius: Length that is cut off on each side of a corner.
+        segments: Number of pieces that replace a corner.
+
+    Returns:
+        Points of the rounded polyline, shape (2 + (R - 2) (segments + 1), 2).
+    """
     corners = np.asarray(corners, dtype=np.float64)
     points = [corners[:1]]
     for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:], strict=True):

@@ -49,7 +49,7 @@ class _LightRoles:
 
     @classmethod
     def of(cls, scene: Scene, lights: Sequence[Light] | None) -> _LightRoles:
-        """Assigns roles to the user's ``lights``, or to the lights of the scene if ``lights`` is None.
+        """Finds which lights shadow captures and which light meshes: of ``lights``, or, if None, of the scene's.
 
         Raises:
             SceneError: ``lights`` is no list of lights, or none of them casts shadows from a position or a direction.

@@ -151,7 +151,7 @@ def describe_problems(out_of_range: int, without_area: int) -> str:
 
 
 def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray[Any]) -> TriangleCheck:
-    """Finds the usable triangles of a mesh.
+    """Finds the usable triangles of a mesh: those with an area, whose indices are all in range.
 
     Args:
         positions: Vertex positions, shape (V, 3).

@@ -32,13 +32,20 @@ def sigmoid(x: float) -> float:
 
 @wp.func
 def step_of(rates: StepRates, rate: float, first: float, second: float) -> float:
-    """Returns the change of a parameter in one Adam step, from its first and second moment."""
+    """Returns how much one Adam step subtracts from a parameter, with bias correction.
+
+    Args:
+        rates: Bias corrections of the step.
+        rate: Learning rate of the parameter.
+        first: First moment of the parameter's gradient.
+        second: Second moment of the parameter's gradient.
+    """
     return rate * first * rates.first_scale / (wp.sqrt(second * rates.second_scale) + EPSILON)
 
 
 @wp.func
 def step3_of(rates: StepRates, rate: float, first: wp.vec3, second: wp.vec3) -> wp.vec3:
-    """Returns the change of a parameter with three components in one Adam step, from its first and second moment."""
+    """Returns how much one Adam step subtracts from a parameter with three components; see ``step_of``."""
     return wp.vec3(
         step_of(rates, rate, first[0], second[0]),
         step_of(rates, rate, first[1], second[1]),

@@ -166,7 +166,7 @@ def test_shadow_rays_do_not_depend_on_thread_count() -> None:
 # --- Threshold and tint ---
 
 
-def test_shadow_rays_are_black_up_to_the_transmittance_threshold_and_linear_above(rig: ShadowRig) -> None:
+def test_shadow_rays_map_transmittance_from_threshold_to_1_linearly_to_0_to_1(rig: ShadowRig) -> None:
     """Light is black up to the threshold, unchanged where nothing blocks the ray, and linear between."""
     light = rig.light(
         ls.Scene([stack(0.2, 0.5, 0.5)]),
@@ -361,7 +361,7 @@ def test_shadow_rays_through_glass_and_gaussians_match_the_reference(rig: Shadow
     assert_matches_reference(rig, ls.Scene([random_gaussians(71, 60)], meshes), seed=72, color_strength=1.0)
 
 
-def test_shadow_rays_marked_as_opaque_are_blocked_by_glass(rig: ShadowRig) -> None:
+def test_shadow_rays_with_opaque_shadows_are_blocked_by_glass(rig: ShadowRig) -> None:
     """With ``opaque``, every mesh blocks."""
     scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass())])
     assert rig.light(scene, ORIGIN, AHEAD)[0, 0] == pytest.approx(0.5, rel=1e-5)

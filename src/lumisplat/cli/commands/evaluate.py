@@ -165,7 +165,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
         Args:
             folder: Folder of images with poses.
-            background: RGB behind transparent parts of the images, as that of the frames.
+            background: RGB behind transparent parts of the images; rendered frames have the same background.
             straighten: True removes lens distortion from images and cameras.
         """
         images = ls.io.load_training_images(

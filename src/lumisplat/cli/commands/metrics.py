@@ -48,11 +48,11 @@ class Metrics(LoadingCommand):
     ] = ()
     """Compare two images, or two folders; with --scene, read an avatar."""
     metrics: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(default: psnr,ssim,flip)")] = None
-    """Choose the metrics: psnr, ssim, ms-ssim, flip, sae, sm-iou, bf."""
+    """Choose from psnr, ssim, ms-ssim, flip, and for shadows sae, sm-iou, bf."""
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Compare the light on the avatar with this capture around it."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Read the avatar before relighting, and print the improvement."""
+    """Compare with this capture of the avatar before relighting, too."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
     """Use scene Gaussians within this distance of the avatar's centre."""
     json: Flag = False

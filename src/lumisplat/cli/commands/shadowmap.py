@@ -45,7 +45,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     strength: Annotated[float | None, setting("FACTOR", "1")] = None
     """Multiply the absorption of light by the casters by this factor."""
     absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("NAME", "avg")] = None
-    """Convert opacity to absorption by the method simple, avg, mass or diag."""
+    """Convert opacity to absorption by avg, or by an ablation: simple, mass or diag."""
     sampling: Annotated[Literal["center", "stencil", "monte-carlo"] | None, setting("NAME", "monte-carlo")] = None
     """Sample the map per Gaussian by center, stencil (7 points) or monte-carlo (random points)."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None

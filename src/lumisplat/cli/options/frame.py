@@ -70,7 +70,7 @@ class EnvironmentOptions(LightOptions):
     capture_gain: Annotated[float | Literal["auto"] | None, setting("N|auto", "0")] = None
     """Brighten captured light on added objects by N stops; auto: estimate N from the scene."""
     shadow_catcher: Flag = False
-    """Show the shadows of added objects on captures that no material relights."""
+    """Show the shadows of added objects on captures, except on relit ones."""
     denoise: Flag = False
     """Denoise lit frames; needs pip install 'lumisplat[denoise]'."""
 

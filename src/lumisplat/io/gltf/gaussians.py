@@ -225,7 +225,7 @@ def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatAr
         names = list(layout.numbers.values())
         expected = f"{', '.join(names[:-1])} or {names[-1]}" if names[1:] else names[0]
         found = f"{'normalised' if stored[1] else 'unnormalised'} numbers of type {stored[0]}"
-        raise primitive.error(f"has {full} in {found}, expected {expected}")
+        raise primitive.error(f"stores {full} as {found}, expected {expected}")
     return _check_count(primitive, full, values, count)
 
 

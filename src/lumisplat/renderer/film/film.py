@@ -421,7 +421,7 @@ def has_catchers(plan: FramePlan) -> bool:
 
 
 def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:
-    """Returns the images in ``pixels``, by field name of `Frame`, from copies of their memory block."""
+    """Returns the images of ``pixels`` by field name of `Frame`; ``copies`` holds their downloaded memory."""
     images = pixels.images(copies, "pixels")
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
     return images

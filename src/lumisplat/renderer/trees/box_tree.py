@@ -42,7 +42,7 @@ class Level:
     depth: int
     """Depth in the BVH of the nodes that are split next; 0: the roots."""
     first: int
-    """Index among all nodes of the first node that is split next."""
+    """Index, among all nodes of the BVHs, of the first of this level's nodes."""
     nodes: int
     begins: DeviceArray
     """Index of the first item (Gaussian, triangle or instance) of each node of the BVHs."""
