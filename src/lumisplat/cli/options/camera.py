@@ -32,7 +32,7 @@ class ViewpointOptions:
     target: Annotated[str | None, setting("X,Y,Z", "the first view's, or the centre")] = None
     """Look at this point."""
     azimuth: Annotated[float | None, setting("DEG", "0")] = None
-    """Look from this side: 0 the front or the capture's first view, 90 right, 180 back."""
+    """Look from this side: 0 front or the capture's first view, 90 right, 180 back."""
     elevation: Annotated[float | None, setting("DEG", "the first view's, or 11.5")] = None
     """Look from this angle above the horizon, -90 to 90."""
     distance: Annotated[float | None, setting("UNITS", "the first view's, or to fit the scene")] = None
