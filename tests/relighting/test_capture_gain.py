@@ -84,7 +84,7 @@ def test_estimated_capture_gain_makes_an_object_as_bright_as_the_capture_around_
         (ls.Scene([shell(0.5)]), "give the position"),
     ],
 )
-def test_estimate_capture_gain_refuses_scenes_without_a_capture_shown_as_captured(
+def test_estimate_capture_gain_refuses_scenes_without_an_unlit_capture_or_position(
     scene: ls.Scene, message: str
 ) -> None:
     """A scene without an unlit capture, or without an object and a position, is refused."""

@@ -90,8 +90,8 @@ class DatasetPoses:
     """Largest rotation, about any axis, of a view's camera from the given camera that it starts from, with
     ``CAMERAS``."""
     aim: Share = 0.1
-    """With ``DOME``: largest random distance of a camera's target from the scene's centre along each axis, as a
-    fraction of the scene's size along that axis."""
+    """With ``DOME``: size of the box around the scene's centre in which targets of cameras are random, as a fraction of
+    the scene's size along each axis. Views that look at an inserted object ignore this setting."""
     roll: Annotated[float, Range(0.0, 180.0, "degrees")] = 0.0
     """Largest rotation of cameras about their viewing direction."""
     fov: Annotated[Span, Range(1.0, 179.0, "degrees")] = (35.0, 60.0)

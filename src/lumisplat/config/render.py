@@ -34,7 +34,7 @@ class Shadows(Enum):
     HARD = "hard"
     """Shadow rays to the centre of each light. Path-traced and real-time frames use ``SOFT`` instead."""
     SOFT = "soft"
-    """Shadow rays to a random point of each light, a new one in each sample. Samples average them to penumbrae."""
+    """Shadow rays to random points of lights, new ones in each sample. Samples average them to penumbrae."""
 
 
 class ToneMap(Enum):

@@ -425,7 +425,7 @@ def load_radiance(path: PathLike) -> FloatArray:
 
     Returns:
         Linear Rec.709, finite and at least 0, shape (H, W, 3), row 0 at the top, read-only. Negative and non-finite
-        values become 0, and one log line counts them.
+        values become 0; one log line counts them, unless they are only negative and negligible.
 
     Raises:
         FormatError: The file is damaged or truncated, or holds 8-bit display colours.

@@ -189,7 +189,7 @@ class IncidentRays:
         capture: The capture.
         renderer: Traces unlit rays with sorted hits.
         seed: Seed of the rays' origins and directions.
-        traced: Called after each traced direction, with the number of Gaussians.
+        traced: Called after each traced direction with N, for progress.
     """
 
     def __init__(

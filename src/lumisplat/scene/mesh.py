@@ -153,6 +153,8 @@ def describe_problems(out_of_range: int, without_area: int) -> str:
 def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray[Any]) -> TriangleCheck:
     """Finds the usable triangles of a mesh: those with an area, whose indices are all in range.
 
+    Positions are not checked: triangles with non-finite positions count as usable.
+
     Args:
         positions: Vertex positions, shape (V, 3).
         indices: Triangles of any integer type, shape (F, 3).

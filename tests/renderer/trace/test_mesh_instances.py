@@ -69,7 +69,7 @@ def test_hits_on_thousands_of_mesh_instances_equal_a_loop_over_instances(paralle
 
 
 @pytest.mark.parametrize("parallel", SCHEDULES)
-def test_refitted_top_level_tree_gives_the_hits_of_a_new_tree(parallel: bool) -> None:
+def test_top_level_tree_encloses_all_instances_and_is_refitted_if_they_move_little(parallel: bool) -> None:
     """The refitted tree contains all instances, and is rebuilt once its boxes are too loose."""
     launcher, meshes = Launcher("cpu", 1, parallel=parallel), shapes()
     bvhs = MeshBvhScene(launcher)

@@ -52,7 +52,7 @@ class Metrics(LoadingCommand):
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Compare the light on the avatar with this capture around it."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Compare with this capture of the avatar before relighting, too."""
+    """With --scene: read the avatar's capture before relighting, and print the improvement."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
     """Use scene Gaussians within this distance of the avatar's centre."""
     json: Flag = False

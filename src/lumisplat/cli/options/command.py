@@ -88,7 +88,7 @@ class LoadingCommand(Command):
     """Base class of commands that load captures."""
 
     drop_invalid: Flag = False
-    """Leave out Gaussians with NaN or infinite values."""
+    """Leave out invalid Gaussians: NaN, infinite values, or rotations of length 0."""
     allow_outside: Flag = False
     """Let files refer to other files outside their folders."""
 

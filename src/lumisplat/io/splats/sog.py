@@ -113,7 +113,7 @@ def encode(values: Floats, codebook: npt.NDArray[np.float32]) -> npt.NDArray[np.
 
 
 class _PrefixSums:
-    """Prefix sums of sorted numbers and of their squares, which give mean and squared error of a run in constant time.
+    """Prefix sums of sorted numbers: mean of a run of them, and error that splitting it saves, in constant time.
 
     A run is a range of consecutive indices of the sorted numbers.
     """

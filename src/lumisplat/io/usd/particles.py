@@ -146,7 +146,10 @@ def _color_space(prim: Any) -> str:
 
 
 def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Any]:
-    """Reads normals and materials of ``count`` particles; a primvar without one value per particle is ignored."""
+    """Reads normals and materials of ``count`` particles.
+
+    A primvar is ignored if it is indexed or has fewer values than particles; surplus values are dropped.
+    """
     primvars, found = pxr().UsdGeom.PrimvarsAPI(prim), dict[str, Floats]()
     for name, columns in _PRIMVARS.items():
         primvar = primvars.GetPrimvar(name)

@@ -183,7 +183,10 @@ def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) 
 
 
 def fill_layers(row: Any, material: MaterialPbr) -> None:
-    """Fills the fields for clearcoat and sheen in a material's row; all material structs have these fields."""
+    """Fills clearcoat, and the albedo curve of the sheen, in a material's row.
+
+    The caller fills colour and roughness of the sheen, which the material structs store differently.
+    """
     row["coat"] = material.clearcoat
     row["coat_alpha"] = max(material.clearcoat_roughness, COAT_ROUGHNESS_MIN) ** 2
     if any(material.sheen_color):

@@ -114,10 +114,11 @@ class OpennessGrid(NamedTuple):
 def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> FloatArray:
     """Returns +1 for each Gaussian whose axis points outwards, otherwise -1, shape (N,).
 
-    Gaussians are voxelised as solid; free cells connected to the edge of the grid are outside. The openness on both
-    sides of a Gaussian is compared along its axis at distances of one cell, two, four and so on, until one side is
-    clearly more open. The object need not be convex, and a plate that is at least about a cell thick has two sides.
-    Where both sides stay equally open, as for a single sheet, the axes are turned to one common side.
+    Gaussians are voxelised as solid. The openness of a free cell (see `OpennessGrid`) is mostly the fraction of
+    directions in which nothing blocks the way out of the grid. The openness on both sides of a Gaussian is compared
+    along its axis at distances of one cell, two, four and so on, until one side is clearly more open. The object need
+    not be convex, and a plate that is at least about a cell thick has two sides. Where both sides stay equally open,
+    as for a single sheet, the axes are turned to one common side.
 
     Args:
         gaussians: N Gaussians.

@@ -107,7 +107,7 @@ class AddPanel:
                 self._insert_file(path, moves=moves)
 
     def _add_upload(self, asked: tuple[Any, bool]) -> None:
-        """Saves an uploaded file beside the scene file under a safe, unused name, and adds it to the scene.
+        """Saves an upload in the folder ``uploads`` beside the scene file, under a safe, unused name, and adds it.
 
         Args:
             asked: File name and content from viser, and True to add the file as an actor.
