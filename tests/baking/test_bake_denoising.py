@@ -84,7 +84,7 @@ def test_denoising_a_bake_keeps_black_beside_white():
     np.testing.assert_allclose(light[:, bright].mean(), truth[bright].mean(), rtol=0.03)
 
 
-def test_denoising_a_bake_keeps_shadow_edges():
+def test_denoising_a_bake_changes_no_ray_of_gaussians_whose_rays_are_half_in_shadow():
     """Half of the rays of each Gaussian are in shadow, more than noise explains, so no ray is averaged with others."""
     rng = np.random.default_rng(2)
     weights, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.5)

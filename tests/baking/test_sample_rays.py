@@ -125,7 +125,7 @@ def test_bake_redraws_blocked_rays_so_that_gaussians_in_corners_get_as_many_as_o
     assert len(np.unique(eyes, axis=0)) == len(eyes)  # redrawn rays differ
 
 
-def test_memory_of_a_bake_does_not_grow_with_the_number_of_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bake_limits_the_rays_at_once_for_any_number_of_directions(monkeypatch: pytest.MonkeyPatch) -> None:
     """More rays per Gaussian mean fewer Gaussians in a part; the number of rays at once is bounded, too."""
     counts: list[int] = []
     pixels = JointShFit.pixels

@@ -105,7 +105,7 @@ def test_render_width_and_height_apply_to_cameras_without_a_size(work):
     assert read_image(work.path("a.png"))["srgb"].shape == (24, 32, 3)
 
 
-def test_option_set_of_render_gives_the_image_of_library_render_with_equal_settings(work):
+def test_option_named_set_of_render_gives_the_image_of_library_render_with_equal_settings(work):
     """The image equals that of `ls.render` with equal settings."""
     ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
     scene = ls.Scene([work.capture("bands.ply")])
@@ -289,7 +289,7 @@ def test_render_logs_that_an_exr_has_no_background_colour(work, caplog):
     assert line.startswith("--background shows only in mirrors and glass: an EXR stores")
 
 
-def test_render_stats_prints_times_of_stages_and_counts(work):
+def test_render_with_stats_prints_times_of_stages_and_counts(work):
     """The stages are those of the rasteriser."""
     outcome = work.run("render", "@capture.ply", "-o", "@a.npz", "--width", "32", "--stats", "--device", "cpu")
     for word in ("project", "sort", "bin", "composite", "60", "tile pairs", "memory"):
@@ -451,7 +451,7 @@ def test_convert_writes_the_same_gaussians_in_every_format(work, target):
     assert np.allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
 
 
-def test_render_drop_invalid_renders_the_valid_gaussians(work):
+def test_render_with_drop_invalid_renders_the_valid_gaussians(work):
     """Without ``--drop-invalid``, a capture with NaN is refused."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()

@@ -281,7 +281,7 @@ def test_animate_reports_a_damaged_frame_that_stops_its_video(work, kept):
     assert frames(work, "frames") == made
 
 
-def test_interrupted_animate_overwrite_advises_the_same_command_without_overwrite(work, monkeypatch):
+def test_interrupted_animate_with_overwrite_advises_the_same_command_without_overwrite(work, monkeypatch):
     """With ``--overwrite``, the same command would remove the finished frames."""
 
     def interrupted(*_, **__):
@@ -325,7 +325,7 @@ def test_animate_needs_one_camera_or_one_for_each_frame(work):
     assert len(animation.cameras) == 1
 
 
-def test_animate_without_cameras_uses_a_camera_that_frames_scene_and_actors(work):
+def test_animate_without_cameras_renders_images_of_the_requested_size(work):
     """The camera has the requested image size."""
     work.path("scene.toml").write_text(SCENE[: SCENE.index("[[cameras]]")])
     assert animate(work, "frames", "--frames", "0:1", "--width", "40", "--height", "30", "--up", "y-up").status == 0

@@ -94,7 +94,9 @@ def test_sh_degree_option_of_convert_removes_sh_coefficients_or_pads_them_with_z
     assert (work.folder / "out.ply").read_bytes().partition(b"end_header")[0].count(b"property float") == 62
 
 
-def test_convert_drop_invalid_counts_the_dropped_gaussians(work: Workspace, caplog: pytest.LogCaptureFixture) -> None:
+def test_convert_with_drop_invalid_counts_the_dropped_gaussians(
+    work: Workspace, caplog: pytest.LogCaptureFixture
+) -> None:
     """Without ``--drop-invalid``, the file is refused."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
@@ -109,7 +111,7 @@ def test_convert_drop_invalid_counts_the_dropped_gaussians(work: Workspace, capl
 @pytest.mark.parametrize(
     ("text", "count"), [("10", 10), ("25%", 250), ("0.01%", 1), ("12.5%", 125), ("200%", 2000), ("5000", 5000)]
 )
-def test_convert_decimate_accepts_counts_and_percentages(text: str, count: int) -> None:
+def test_decimate_option_of_convert_accepts_counts_and_percentages(text: str, count: int) -> None:
     """At least one Gaussian remains."""
     assert _target_count(text, 1000) == count
 
@@ -123,7 +125,7 @@ def test_keep_option_of_convert_accepts_value_ranges_without_lower_or_upper_limi
     }
 
 
-def test_convert_columns_r3dg_writes_materials_in_columns_of_r3dg(
+def test_convert_with_r3dg_columns_writes_materials_in_columns_of_r3dg(
     work: Workspace, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Materials are read back, and the incident light with ``--incident``."""

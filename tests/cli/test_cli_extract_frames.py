@@ -63,7 +63,9 @@ def test_extract_frames_command_reports_mistakes_of_the_user_in_one_line(
     assert problem in printed and len(printed.strip().splitlines()) == 1
 
 
-def test_error_for_the_former_command_frames_names_extract_frames(capsys: pytest.CaptureFixture[str]) -> None:
+def test_error_for_the_former_frames_command_gives_the_extract_frames_command_to_type(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """The line is the whole command as it is typed today."""
     assert main(["frames", "my walk.mp4", "-o", "walk"]) == 2
     problem = "error: frames is now extract-frames: lumisplat extract-frames 'my walk.mp4' -o walk\n"

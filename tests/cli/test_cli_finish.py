@@ -34,7 +34,7 @@ def noise(work: Workspace, name: str) -> float:
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
-def test_render_denoise_reduces_the_noise_of_each_pipeline(work: Workspace, pipeline: str) -> None:
+def test_render_with_denoise_reduces_the_noise_of_each_pipeline(work: Workspace, pipeline: str) -> None:
     """The layer that the denoiser needs is rendered, but not written into the EXR."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     options = (*RENDER, "--pipeline", pipeline, "--samples", "1")

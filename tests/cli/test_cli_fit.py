@@ -171,7 +171,7 @@ def test_fit_of_several_images_writes_a_report(work):
     np.testing.assert_allclose(lights_of(work, "b.toml")["right"], (4.0, 4.0, 4.0), rtol=0.03)
 
 
-def test_fit_base_colors_writes_colours_of_a_mesh_to_the_scene_file(work):
+def test_fit_with_base_colors_writes_colours_of_a_mesh_to_the_scene_file(work):
     """The box's base colour is estimated while the lights stay as given."""
     done = work.run("fit", "@grey.toml", "@door.png", "-o", "@a.toml", "--base-colors", "box", "--no-intensities", *FIT)
     assert done.status == 0, done.err

@@ -56,7 +56,7 @@ def test_render_logs_a_guessed_up_direction_but_not_a_stated_one(
     assert "y-down" in line and "--up" in line
 
 
-def test_convert_level_rotates_the_ground_to_horizontal(
+def test_convert_with_level_rotates_the_ground_to_horizontal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The rotation is printed, and up becomes an axis."""
@@ -86,7 +86,7 @@ def test_edits_by_convert_preserve_a_captures_up_direction_and_first_camera_view
     np.testing.assert_allclose(present(rotated.first_view).eye, (0.0, 5.0, -1.0), atol=1e-6)
 
 
-def test_convert_level_refuses_a_capture_without_a_ground(
+def test_convert_with_level_refuses_a_capture_without_a_ground(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A ball has no up direction: the command prints one line, and writes no file."""

@@ -193,7 +193,7 @@ def test_cameras_option_of_render_replaces_the_cameras_of_the_scene_file(work, m
     assert recorder.config == FILE_CONFIG
 
 
-def test_render_of_a_scene_file_without_cameras_uses_a_camera_framing_the_scene(work, monkeypatch):
+def test_render_of_a_scene_file_without_cameras_uses_one_camera_of_the_given_size_and_exposure(work, monkeypatch):
     """The camera has the requested size and exposure."""
     recorder = RecordingRenderer(monkeypatch)
     work.path("plain.toml").write_text(SCENE.partition("[[cameras]]")[0])

@@ -112,7 +112,7 @@ def test_errors_name_the_option_that_was_typed(work, options, error):
     assert outcome.status == 2 and error in outcome.err and outcome.err.count("\n") == 1
 
 
-def test_ray_tracer_settings_given_by_the_option_set_change_the_rendered_frame(work):
+def test_ray_tracer_settings_given_by_the_option_named_set_change_the_rendered_frame(work):
     """Acceptance, clamping and the depth threshold are stored in the settings."""
     options = (
         "--set=trace.acceptance_scale=0.5",

@@ -130,7 +130,7 @@ def test_metrics_command_compares_lighting_of_an_avatar_with_that_of_its_scene(w
     assert all(math.isfinite(float(cell)) for cell in table["APF-Y"])
 
 
-def test_metrics_drop_invalid_leaves_out_invalid_gaussians(work):
+def test_metrics_with_drop_invalid_leaves_out_invalid_gaussians(work):
     """The option is the advice in the refusal, and the metrics are those of the valid Gaussians."""
     data = bytearray(work.path("avatar.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()

@@ -73,7 +73,7 @@ def test_help_of_each_option_has_at_most_15_words(
 @pytest.mark.parametrize(
     ("name", "value"), settings(ls.RenderConfig()), ids=lambda one: one if isinstance(one, str) else ""
 )
-def test_option_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
+def test_option_named_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> None:
     """Each setting is named by its key in a scene file, and gets the given value."""
     text = {"samples": "3", "time_limit": "2.5", "noise": "0.5", "background": "white", "aovs": "albedo"}.get(name)
     text = text or ("auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower())
@@ -88,7 +88,7 @@ def test_option_set_reaches_every_setting_of_a_frame(name: str, value: Any) -> N
 @pytest.mark.parametrize(
     ("name", "value"), settings(ls.config.AvatarLightingConfig()), ids=lambda one: one if isinstance(one, str) else ""
 )
-def test_option_set_reaches_every_setting_of_avatar_lighting(name: str, value: Any) -> None:
+def test_option_named_set_reaches_every_setting_of_avatar_lighting(name: str, value: Any) -> None:
     """Each setting is named by its key in the scene file, with its tables before it."""
     text = "auto" if value is None else str(value.value) if hasattr(value, "value") else str(value).lower()
     command = Animate(scene="a.toml", changes=(f"{LIGHTING}{name}={text}",))  # pyright: ignore[reportArgumentType]
@@ -96,7 +96,7 @@ def test_option_set_reaches_every_setting_of_avatar_lighting(name: str, value: A
     assert not command.set_values()
 
 
-def test_option_set_changes_one_setting_and_no_other() -> None:
+def test_option_named_set_changes_one_setting_and_no_other() -> None:
     """Other settings of the group keep the scene file's values."""
     base = ls.RenderConfig(trace=ls.TraceConfig(sh_degree=1))
     config = Render(changes=("trace.hits_per_pass=8", "render.seed=3")).pipeline_config(base)
@@ -117,7 +117,7 @@ def test_option_set_changes_one_setting_and_no_other() -> None:
         ("jitter=maybe", "jitter is 'maybe', expected true or false"),
     ],
 )
-def test_mistakes_in_values_of_the_option_set_are_reported_in_one_line(
+def test_mistakes_in_values_of_the_option_named_set_are_reported_in_one_line(
     text: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The line has the typed text, and a similar valid text."""
@@ -145,7 +145,9 @@ def test_error_for_a_former_option_states_its_present_form(option: str, capsys: 
         assert typed in options_of(Delight if command == "delight" else Render)
 
 
-def test_option_that_render_had_formerly_still_works_for_convert(capsys: pytest.CaptureFixture[str]) -> None:
+def test_convert_does_not_refuse_the_sh_degree_option_that_render_formerly_had(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """`convert` has an option ``--sh-degree``, which `render` had formerly."""
     assert main(["convert", "missing.ply", "out.ply", "--sh-degree", "2"]) == 2
     assert "is a setting" not in capsys.readouterr().err

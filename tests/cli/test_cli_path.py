@@ -34,7 +34,7 @@ def same(work: Workspace, name: str, camera: ls.Camera) -> bool:
     return np.array_equal(read_image(work.path(name))["srgb"], expected)
 
 
-def test_render_camera_path_moves_between_cameras_of_a_file(work) -> None:
+def test_render_with_camera_path_moves_between_cameras_of_a_file(work) -> None:
     """The camera moves from one camera of the file to the next in a second, at 24 frames a second."""
     frames = ("--frames", "0-48x12")
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", *frames, "-o", "@out", *SIZE)
@@ -68,7 +68,7 @@ def test_animate_moves_the_camera_by_keyframes_of_a_scene_file(work) -> None:
         assert same(work, f"out/frame_{k:04d}.png", camera_path.at(k / 3))
 
 
-def test_render_cameras_accepts_a_camera_path_of_nerfstudio(work) -> None:
+def test_cameras_option_of_render_accepts_a_camera_path_of_nerfstudio(work) -> None:
     """The file is a camera_path.json with one camera."""
     frame = {"camera_to_world": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1], "fov": 60.0}
     content = {"camera_path": [frame], "render_width": 32, "render_height": 24, "fps": 24}
@@ -86,7 +86,7 @@ def test_render_cameras_accepts_a_camera_path_of_nerfstudio(work) -> None:
         (("--fps", "2"), "--fps is no option of lumisplat render, but of orbit"),
     ],
 )
-def test_render_camera_path_excludes_other_camera_options(work, options, message) -> None:
+def test_camera_path_option_of_render_excludes_other_camera_options(work, options, message) -> None:
     """The error is one line."""
     outcome = work.run("render", "@capture.ply", "--camera-path", "@way.json", "-o", "@out", *options)
     assert outcome.status == 2 and message in outcome.err

@@ -64,7 +64,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
     return workspace
 
 
-def test_image_of_the_realtime_pipeline_is_the_last_of_several_warm_up_frames(work, monkeypatch):
+def test_realtime_image_takes_as_many_frames_as_samples_and_32_by_default(work, monkeypatch):
     """``--samples`` sets the number of frames, 32 by default; the mesh is lit."""
     counts: list[int] = []
     render = ls.Renderer.render

@@ -129,7 +129,7 @@ def test_render_logs_that_only_captures_light_the_objects_of_a_scene_without_lig
     assert not any("tone-map" in one for one in frame_remarks(config, scene, {}, given))
 
 
-def test_capture_gain_auto_estimates_and_logs_the_gain(tmp_path, capsys, monkeypatch, caplog) -> None:
+def test_capture_gain_option_set_to_auto_estimates_and_logs_the_gain(tmp_path, capsys, monkeypatch, caplog) -> None:
     """The gain brightens the light of the capture on meshes."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     work = Workspace(tmp_path, capsys)

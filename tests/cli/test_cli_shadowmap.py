@@ -58,7 +58,7 @@ def test_shadowmap_saves_a_shadow_map_as_npz(work: Workspace) -> None:
     assert shadow.transmittance_of(capture).min() < 0.5
 
 
-def test_shadowmap_drop_invalid_leaves_out_invalid_gaussians(work: Workspace) -> None:
+def test_shadowmap_with_drop_invalid_leaves_out_invalid_gaussians(work: Workspace) -> None:
     """The option, which the refusal names, works for the capture and for casters."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()

@@ -55,7 +55,7 @@ def test_convert_writes_a_ply_to_standard_output(run, tmp_path: Path) -> None:
     assert again.count == 5
 
 
-def test_commands_that_end_with_an_error_write_nothing_to_standard_output(run) -> None:
+def test_render_that_fails_writes_nothing_to_standard_output(run) -> None:
     """Each mistake prints one line on standard error."""
     for args, named in ((("missing.ply",), b"missing.ply"), (("mesh.obj", "--aov", "depth"), b"-o - is one file")):
         done = run("render", *args, "-o", "-")

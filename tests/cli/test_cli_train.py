@@ -99,6 +99,6 @@ def test_train_that_needs_colmap_poses_without_pycolmap_names_the_extra_to_insta
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90", 90.0), ("90s", 90.0), ("10m", 600.0), ("1.5 h", 5400.0)])
-def test_train_stop_after_accepts_seconds_minutes_and_hours(text: str, seconds: float) -> None:
+def test_stop_after_option_of_train_accepts_seconds_minutes_and_hours(text: str, seconds: float) -> None:
     """A number without unit is in seconds."""
     assert seconds_of("--stop-after", text) == seconds

@@ -27,7 +27,7 @@ def problem(capsys: pytest.CaptureFixture[str], line: str) -> str:
     ],
 )
 @pytest.mark.parametrize("command", ["render", "view", "orbit", "bench"])
-def test_error_for_an_unknown_option_named_like_a_setting_suggests_the_option_set(
+def test_error_for_an_unknown_option_that_is_a_setting_suggests_the_option_named_set(
     command: str, typed: str, answer: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The line is what to type: ``--set`` with the path of the setting and the given value."""
@@ -98,7 +98,7 @@ def test_error_for_a_wrong_option_value_names_the_help_of_its_command(
     assert problem(capsys, line) == text
 
 
-def test_view_checks_settings_before_opening_the_page(
+def test_view_command_checks_settings_before_opening_the_page(
     tmp_path, monkeypatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nothing is printed on standard output, where the address would be."""

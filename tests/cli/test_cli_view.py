@@ -65,7 +65,7 @@ def test_views_of_one_render_share_their_colour_scale(work):
     np.testing.assert_array_equal(read_image(work.path("out/right.png"))["srgb"], expected)
 
 
-def test_render_view_shadow_is_white_on_lit_surfaces_and_blue_where_no_light_reaches(work):
+def test_shadow_view_of_render_is_white_on_lit_surfaces_and_blue_where_no_light_reaches(work):
     """The lit side of the triangle is white, and pixels that no light reaches are blue."""
     work.path("scene.toml").write_text(
         '[[meshes]]\npath = "mesh.obj"\n'

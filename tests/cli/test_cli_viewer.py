@@ -54,7 +54,7 @@ def status(address: str) -> int:
             return error.code
 
 
-def test_view_prints_its_address_and_serves_until_interrupted(capture: Path) -> None:
+def test_view_command_prints_its_address_and_serves_until_interrupted(capture: Path) -> None:
     """Standard output has one line with the address; without its token the page is refused."""
     with serving(str(capture)) as (process, address):
         assert address.startswith("http://127.0.0.1:") and "/?token=" in address
@@ -72,7 +72,7 @@ def test_view_command_leaves_out_files_that_cannot_be_read(capture: Path) -> Non
         assert "gone.obj" in process.communicate(timeout=PATIENCE_S)[1]
 
 
-def test_view_admits_other_machines_only_with_the_host_option(capture: Path) -> None:
+def test_view_command_admits_other_machines_only_with_the_host_option(capture: Path) -> None:
     """Standard error warns of open access, and the token is still needed."""
     with serving(str(capture), "--host", "0.0.0.0") as (process, address):
         assert status(address) == 200 and status(address.partition("?")[0]) == 401

@@ -14,7 +14,7 @@ def test_balanced_realtime_quality_equals_the_default_settings() -> None:
     assert ls.RealtimeConfig().of_quality == ls.RealtimeConfig()
 
 
-def test_realtime_quality_preview_costs_less_and_high_costs_more() -> None:
+def test_realtime_quality_preview_has_cheaper_settings_and_high_has_costlier_ones() -> None:
     """Rays, filter passes and averaged frames differ."""
     low, middle, high = (ls.RealtimeConfig(quality=quality).of_quality for quality in ls.config.RealtimeQuality)
     assert low.light_interval == 2 > middle.light_interval

@@ -61,7 +61,7 @@ def test_baked_sky_light_is_the_integral_over_the_hemisphere() -> None:
     assert roofed < 0.5 * (1.0 - 1.0 / 1.25) + 0.02
 
 
-def test_baked_bounce_light_is_strongest_on_downward_surfaces_and_weaker_in_corners() -> None:
+def test_baked_bounce_light_is_strongest_on_downward_surfaces_and_weaker_under_a_cover() -> None:
     """Light from the floor is stronger on surfaces that face down, and weaker where the sky is blocked."""
     light = Daylight(sun_direction=(0.0, 1.0, 0.0), sun_color=(0, 0, 0), sky_color=(0, 0, 0))
     point, far = np.zeros((1, 3)), np.array([[5.0, -5.0, 5.0]])

@@ -32,7 +32,7 @@ def test_directions_around_an_axis_are_unit_vectors_at_the_given_angles(axis: np
     np.testing.assert_allclose(flat[1] + flat[3], 0.0, atol=1e-6)
 
 
-def test_device_arctangent_angle_of_matches_numpy_arctan2() -> None:
+def test_device_function_angle_of_matches_numpy_arctan2() -> None:
     """``angle_of`` matches NumPy's arctan2 in all quadrants and next to the axes, and returns 0 for (0, 0)."""
     rng = np.random.default_rng(1)
     pairs = rng.normal(size=(2000, 2)) * 10.0 ** rng.uniform(-6.0, 6.0, (2000, 2))

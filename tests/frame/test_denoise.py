@@ -97,7 +97,7 @@ def test_denoising_a_shadow_on_a_capture_preserves_the_detail_of_its_colours() -
 
 
 @needs_denoiser
-def test_denoiser_replaces_nan_and_infinite_light_by_zero() -> None:
+def test_denoised_light_is_finite_if_some_pixels_are_nan_or_infinite() -> None:
     """One NaN pixel and one infinite pixel do not spread."""
     before = noisy(ball_frame(*SIZE))
     assert before.light is not None

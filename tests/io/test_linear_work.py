@@ -105,7 +105,7 @@ def test_dotted_toml_keys_of_more_than_32_parts_are_refused(
         ls.load(tmp_path / "scene.toml")
 
 
-def test_long_toml_words_and_numbers_are_not_taken_for_dotted_keys(tmp_path: Path) -> None:
+def test_long_toml_words_and_numbers_are_not_mistaken_for_dotted_keys(tmp_path: Path) -> None:
     """The text is searched in one pass; a search that restarts at each character would not end."""
     numbers = ", ".join(["1.5"] * 20_000)
     (tmp_path / "scene.toml").write_text(f"{'a' * 10**6} = [{numbers}]\nb = '{chr(34) * 10**6}'\n")

@@ -238,7 +238,7 @@ def test_captures_do_not_shadow_mesh_actors() -> None:
     assert enclosed == pytest.approx(open_air, rel=1e-3) and open_air > 0.05
 
 
-def test_given_lights_light_mesh_actors_together_with_a_probe_unless_they_have_an_environment() -> None:
+def test_mesh_actors_get_no_probe_light_if_the_given_lights_have_an_environment() -> None:
     """The frame has all enabled lights; if they include an environment, no light from a probe is added."""
     lights = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
     stage = lighter(ls.Scene(splats=[floor()]), lights, relight=True)

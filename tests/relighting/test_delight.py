@@ -304,7 +304,7 @@ def test_smoothing_over_neighbouring_gaussians_keeps_constants_and_reduces_noise
     assert smoother.mean(RNG.standard_normal((plain.count, 1))).std() < 0.45
 
 
-def test_delight_gives_gaussians_that_no_light_reaches_their_neighbours_albedo() -> None:
+def test_delight_fills_in_the_albedo_of_unlit_gaussians_from_their_neighbours() -> None:
     """The radiance of a Gaussian without light does not determine its albedo."""
     points = np.array([(x, 0.0, 0.0) for x in range(5)])
     albedo = np.array([[0.5] * 3, [0.5] * 3, [9.0] * 3, [0.5] * 3, [0.5] * 3])
@@ -372,7 +372,7 @@ def is_refused(gaussians: ls.Gaussians, renderer: ls.Renderer, seed: int) -> boo
     return measure_surface(gaussians, renderer, seed).has_no_surface
 
 
-def test_delight_takes_no_opaque_or_flat_gaussians_for_haze(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+def test_delight_does_not_mistake_opaque_or_flat_gaussians_for_haze(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """Isotropic Gaussians on a surface, a ball densely filled with them, and flat Gaussians are accepted."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     plain, _ = ball

@@ -133,7 +133,7 @@ def test_regression_of_shading_recovers_the_brightness_factor_of_a_light() -> No
     assert abs(again.share) < 1e-3
 
 
-def test_random_brightness_of_spatial_blocks_is_not_taken_for_shading_by_a_light() -> None:
+def test_random_brightness_of_spatial_blocks_is_not_mistaken_for_shading_by_a_light() -> None:
     """Standard errors by spatial blocks keep the false positive rate for brightness that is random per block."""
     rng = np.random.default_rng(1)
     normals = np.tile([0.0, 0.0, 1.0], (2000, 1))

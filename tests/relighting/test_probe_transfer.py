@@ -51,7 +51,7 @@ def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
     "settings",
     [{}, {"exponent": 2.0}, {"exponent": 7.3, "rows": 24}, {"scale_max": 0.8}, {"rows": 8}, {"exponent": 0.5}],
 )
-def test_scales_of_colours_by_relight_match_the_equations_of_mir_et_al(settings: dict) -> None:
+def test_factors_by_which_relight_scales_colours_match_the_equations_of_mir_et_al(settings: dict) -> None:
     """There are more normals than one batch holds, and some lie along the axes."""
     config = ls.config.RelightConfig(**settings)
     normals = np.concatenate([np.eye(3), -np.eye(3), unit(1, 2500)])
@@ -60,7 +60,7 @@ def test_scales_of_colours_by_relight_match_the_equations_of_mir_et_al(settings:
     assert (twin == 0.0).any() or config.exponent < 7.0
 
 
-def test_scale_of_colours_by_relight_with_exponent_1_is_irradiance_over_pi() -> None:
+def test_relight_with_exponent_1_scales_colours_by_irradiance_over_pi() -> None:
     """The error is below 2 % for a grid of 16 rows, and below 0.15 % for 64 rows."""
     probe, normals = ls.avatars.EnvironmentProbe(np.abs(some_probe().coefficients)), unit(2, 200)
     exact = np.clip(probe.irradiance(normals) / np.pi, 0.0, 1e3)
@@ -70,7 +70,7 @@ def test_scale_of_colours_by_relight_with_exponent_1_is_irradiance_over_pi() -> 
 
 
 @pytest.mark.parametrize("exponent", [1.0, 8.0, 64.0])
-def test_scales_by_relight_from_16_grid_rows_are_within_1_percent_of_128_rows(exponent: float) -> None:
+def test_colour_factors_of_relight_from_16_grid_rows_are_within_1_percent_of_those_from_128(exponent: float) -> None:
     """The reference is a grid of 128 rows, for any exponent and any normal."""
     probe, normals = some_probe(), unit(3, 400)
     rough, fine = (

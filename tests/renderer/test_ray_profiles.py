@@ -180,7 +180,9 @@ def test_surface_on_which_a_camera_is_focused_is_sharp_and_others_are_blurred() 
         ((0, 0), r"pixel \(0, 0\) shows no surface to focus on"),
     ],
 )
-def test_focusing_on_a_pixel_without_a_surface_is_refused(pixel: tuple[Any, Any], message: str) -> None:
+def test_focusing_on_a_pixel_outside_the_image_or_without_a_surface_is_refused(
+    pixel: tuple[Any, Any], message: str
+) -> None:
     """Focusing on such a pixel raises an error."""
     with pytest.raises(ls.SceneError, match=message):
         ls.rays.focused(ls.Scene([one_gaussian()]), front_camera(), *pixel, device="cpu")

@@ -94,7 +94,7 @@ def test_reconfiguring_a_renderer_frees_buffers_of_the_old_settings() -> None:
     assert renderer._buffers.bytes == small
 
 
-def test_refused_settings_leave_a_reconfigured_renderer_unchanged() -> None:
+def test_reconfiguring_a_renderer_with_refused_settings_leaves_it_unchanged() -> None:
     """No part of refused settings is applied."""
     renderer = ls.create_renderer(BASE, "cpu")
     before = images_of(renderer)

@@ -28,7 +28,7 @@ def test_device_table_of_structs_has_the_given_rows_in_order() -> None:
     np.testing.assert_array_equal(stored["scales"]["data"], [row.scales.ptr for row in rows])
 
 
-def test_device_table_of_structs_without_rows_has_a_valid_address() -> None:
+def test_struct_table_without_rows_has_a_valid_device_address() -> None:
     """A table without rows has one struct with empty arrays."""
     table = upload_structs([], SplatAttributes, "cpu")
     assert table.ptr

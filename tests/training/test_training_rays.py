@@ -84,7 +84,7 @@ def test_training_by_rays_raises_the_psnr_of_held_out_views_by_4_db() -> None:
 
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", ["pinhole", "fisheye"])
-def test_training_by_rays_recovers_known_gaussians_of_kernel_degree_4(kind: str) -> None:
+def test_training_by_rays_recovers_images_of_gaussians_of_kernel_degree_4_to_40_db(kind: str) -> None:
     """32 ray-traced images give more than 40 dB on held-out views."""
     config = replace(CONFIG, iterations=6000, cap=400, initial=400)
     views = fisheyes(40) if kind == "fisheye" else cameras(40, 64)

@@ -91,7 +91,7 @@ def test_unscented_training_raises_the_psnr_of_held_out_views_by_4_db(kind: str)
 
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", LENSES)
-def test_unscented_training_recovers_gaussians_from_ray_traced_images(kind: str) -> None:
+def test_unscented_training_recovers_ray_traced_images_of_gaussians_to_40_db(kind: str) -> None:
     """32 images through a lens give more than 40 dB on held-out views."""
     config = replace(CONFIG, iterations=6000, cap=400, initial=400)
     views = lenses(40, kind, 64)

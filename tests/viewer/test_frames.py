@@ -84,7 +84,7 @@ def test_viewer_skips_detail_steps_after_two_very_slow_frames_in_a_row() -> None
 
 
 @pytest.mark.parametrize(("count", "level", "scale"), [(1000, 1, 1.0), (2_000_000, 1, 1.0), (3_000_000, 2, 0.5)])
-def test_viewer_shows_the_first_frame_of_a_large_scene_at_a_coarse_detail_step(
+def test_viewer_starts_large_scenes_at_a_coarser_detail_step_than_small_ones(
     count: int, level: int, scale: float
 ) -> None:
     """The first frame has at most `MOVING_GAUSSIANS_MAX` Gaussians; small scenes start at a quarter of theirs."""

@@ -162,7 +162,7 @@ def test_every_web_socket_of_the_viewer_is_checked_by_the_guard(server: PageServ
     assert socket_status(server, origin=own, token="") == 401
 
 
-def test_event_set_from_any_thread_is_safe_while_other_tasks_start_and_stop_waiting() -> None:
+def test_setting_an_event_from_any_thread_raises_no_error_while_tasks_start_and_stop_waiting() -> None:
     """Setting an event while waiters come and go does not raise, as asyncio's own event would."""
     event, ends, woken = AnyThreadEvent(), threading.Event(), [0]
     errors: list[BaseException] = []

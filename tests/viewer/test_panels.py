@@ -393,7 +393,7 @@ def test_lights_of_every_type_added_in_the_viewer_light_the_scene_centre_equally
         assert table["intensity"] * area.get(kind, 1.0) / distance**2 == pytest.approx(3.0)
 
 
-def test_inspector_rejects_a_scale_that_is_not_positive() -> None:
+def test_inspector_rejects_a_scale_that_is_not_positive_and_finite() -> None:
     """The error names the scale, not a singular matrix."""
     for scale in (0.0, -2.0, math.inf):
         with pytest.raises(ls.ConfigError, match=f"^scale is {scale:g}, expected a number > 0$"):

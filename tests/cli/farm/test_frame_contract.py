@@ -55,7 +55,7 @@ def render(work: Workspace, folder: str, *options: str):
     return work.run("render", "@capture.ply", "-o", f"@{folder}", *options)
 
 
-def test_render_resume_keeps_images_with_equal_settings_and_refuses_other_settings(work) -> None:
+def test_render_with_resume_keeps_images_with_equal_settings_and_refuses_other_settings(work) -> None:
     """Without --resume, all images are rendered anew."""
     assert render(work, "whole").status == 0
     assert render(work, "out", "--resume", "--frames", "1").status == 0

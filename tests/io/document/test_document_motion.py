@@ -151,7 +151,7 @@ def test_every_camera_field_survives_a_round_trip_through_documents(values: dict
     assert_same_camera(found, camera if camera.name else replace(camera, name=found.name))
 
 
-def test_documents_can_edit_frame_rate_length_and_avatar_lighting(file: Path) -> None:
+def test_documents_can_edit_fps_duration_and_avatar_lighting_of_an_animation(file: Path) -> None:
     """Removed keys are absent from the saved file, and errors name invalid values."""
     document = ls.io.SceneDocument.open(file)
     lighting = ls.config.AvatarLightingConfig(direct=0.25, shadows=False)

@@ -76,7 +76,7 @@ def test_missing_gltf_material_values_have_the_defaults_of_gltf(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("stored", "expected"), [({}, False), ({"doubleSided": False}, False), ({"doubleSided": True}, True)]
 )
-def test_gltf_material_emits_on_both_sides_only_if_double_sided(
+def test_gltf_double_sided_flag_of_a_material_is_read_and_false_by_default(
     tmp_path: Path, stored: dict[str, bool], expected: bool
 ) -> None:
     """The default of ``doubleSided`` is one side."""

@@ -281,7 +281,7 @@ def test_ply_comment_lumisplat_logits_overrides_the_guess_of_how_opacity_is_enco
     assert not caplog.records
 
 
-def test_saved_ply_whose_logits_could_be_taken_for_opacities_has_a_comment(
+def test_saved_ply_whose_logits_could_be_mistaken_for_opacities_has_a_comment(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Large Gaussians with logits within 0..1 survive two round trips thanks to a comment."""
@@ -295,7 +295,7 @@ def test_saved_ply_whose_logits_could_be_taken_for_opacities_has_a_comment(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_log_scales_and_logits_of_trained_plys_are_not_taken_for_decoded_values(
+def test_log_scales_and_logits_of_trained_plys_are_not_mistaken_for_decoded_values(
     tmp_path: Path, seed: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Units range from millimetres to kilometres, and captures are dense or faint."""

@@ -157,7 +157,7 @@ def test_2000_mutated_binary_usd_animations_either_load_or_are_refused(tmp_path:
 
 
 @pytest.mark.parametrize("step", [148, pytest.param(37, marks=pytest.mark.deep)])
-def test_wrong_bytes_in_tables_of_a_binary_usd_do_not_crash(tmp_path: Path, step: int) -> None:
+def test_binary_usd_with_a_wrong_byte_in_its_tables_is_read_or_refused(tmp_path: Path, step: int) -> None:
     """A file with a changed byte in the tables after its values is refused or read."""
     usd_core()
     path = tmp_path / "a.usdc"

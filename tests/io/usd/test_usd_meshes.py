@@ -171,9 +171,7 @@ def test_constants_of_usd_preview_surfaces_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("stored", "expected"), [("", False), ("uniform bool doubleSided = 1", True)])
-def test_usd_material_emits_on_both_sides_only_if_the_mesh_is_double_sided(
-    tmp_path: Path, stored: str, expected: bool
-) -> None:
+def test_usd_material_is_double_sided_only_if_its_mesh_is(tmp_path: Path, stored: str, expected: bool) -> None:
     """The default of doubleSided is one side."""
     applied, binding = bound()
     body = mesh(f"{binding}\n{stored}", applied=applied) + material("color3f inputs:emissiveColor = (4, 5, 6)")

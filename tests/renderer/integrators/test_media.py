@@ -101,7 +101,7 @@ def test_thin_walled_pane_does_not_shift_objects_behind_it(pipeline: ls.Pipeline
 
 @TRACED
 @pytest.mark.parametrize(("water_priority", "ice_priority", "in_ice"), [(0, 0, 1.0), (0, 1, 2.0), (1, 0, 1.0)])
-def test_where_two_media_overlap_light_travels_in_the_medium_of_higher_priority(
+def test_medium_of_higher_priority_applies_where_two_media_overlap(
     pipeline: ls.Pipeline, water_priority: int, ice_priority: int, in_ice: float
 ) -> None:
     """Ice is half in water: the overlap is the medium of higher priority or, at equal priority, the one entered last.

@@ -203,7 +203,7 @@ def test_mirror_path_ends_when_the_product_of_reflectances_is_below_1_512(rig: R
     assert len(rig.waves) == 1 + 3
 
 
-def test_rays_into_which_glass_splits_a_camera_ray_share_no_random_numbers(rig: RayRig) -> None:
+def test_rays_that_glass_splits_off_a_camera_ray_have_different_random_keys(rig: RayRig) -> None:
     """No two rays that one camera ray splits into share random numbers."""
     rig.colors(ls.Scene([], [slab(1.0, 0.3, GLASS)]), ORIGIN, normalized(np.array([[0.5, 0.0, 1.0]])), bounces=4)
     sample_keys = np.concatenate([wave.sample_key for wave in rig.waves])

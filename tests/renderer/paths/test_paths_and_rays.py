@@ -112,7 +112,7 @@ def test_path_traced_ray_queries_include_the_light_of_emissive_meshes() -> None:
     np.testing.assert_allclose(hits.radiance.mean(), frame.color.mean(), rtol=0.02)
 
 
-def test_path_traced_ray_queries_of_unlit_scenes_return_captured_colours() -> None:
+def test_path_traced_ray_queries_of_unlit_scenes_equal_those_of_the_trace_pipeline() -> None:
     """Without any light, rays return the captured colours of a relit set, as in the trace pipeline."""
     unlit = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=16), 500)])
     directions = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.0]])

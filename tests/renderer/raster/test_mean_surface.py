@@ -115,7 +115,7 @@ def test_mean_surface_of_two_layers_has_depth_and_material_weighted_by_blend_wei
     np.testing.assert_allclose(found["albedo"][CENTRE], (1.0 - 0.3 / 0.8) * plain["albedo"][CENTRE], rtol=1e-3)
 
 
-def test_gaussians_too_thin_for_an_iso_surface_have_a_mean_surface() -> None:
+def test_gaussians_too_transparent_for_an_iso_surface_have_a_mean_surface() -> None:
     """The positions of the mean surface lie on the rays."""
     camera = front_camera()
     found = surfaces(relit(veil(3.0, 0.1), veil(5.0, 0.1)), camera)

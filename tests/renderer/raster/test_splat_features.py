@@ -63,7 +63,7 @@ def test_feature_gradients_equal_central_differences_of_the_float64_reference(an
         assert np.median(error) < 1e-5 and error.max() < 1e-3, (name, np.median(error), error.max())
 
 
-def test_features_equal_to_the_gaussians_colours_are_rendered_to_the_frame_over_black() -> None:
+def test_rendered_features_that_are_the_gaussians_colours_equal_the_frame_over_black() -> None:
     """Over black, features equal the frame, and their gradients those of view-independent colours."""
     gaussians, camera = cloud(degree=0, count=60), view()
     scene, (by_color, _) = ls.Scene([gaussians]), by_pixels(camera)

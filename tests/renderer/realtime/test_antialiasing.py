@@ -109,7 +109,7 @@ def test_moved_objects_leave_no_trail_with_temporal_antialiasing() -> None:
 
 
 @pytest.mark.parametrize("goes", [True, False])
-def test_temporal_antialiasing_leaves_no_outline_where_objects_start_to_move(goes: bool) -> None:
+def test_temporal_antialiasing_leaves_no_outline_where_objects_start_to_move_or_vanish(goes: bool) -> None:
     """Edge pixels average object and background; once the object moves or vanishes, only the background remains."""
     mesh, wall = emissive_square(0.3, 0.3, 0.3, half=0.5, tilt=0.4), emissive_square(0.8, 0.8, 0.8, half=6.0)
     behind = ls.MeshInstance(wall, similarity(offset=(0.0, 0.0, 2.0)))

@@ -274,7 +274,7 @@ def test_surfaces_of_a_tile_that_its_screen_probe_does_not_represent_get_further
     assert (device_array(none.probes.adaptive_of).numpy() == -1).all()
 
 
-def test_screen_probe_filter_does_not_mix_nearby_hits_with_distant_ones() -> None:
+def test_screen_probe_filter_averages_probes_that_see_distant_hits_but_not_near_ones() -> None:
     """Neighbouring probes reduce the noise of new probes."""
     surfaces = visible_box(box_camera(), 0.002)
     rng = np.random.default_rng(3)

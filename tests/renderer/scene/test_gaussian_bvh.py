@@ -188,7 +188,7 @@ def worst(links: np.ndarray, node: int) -> int:
     return max([1, len(children), *(len(children) - 1 + worst(links, child) for child in children)])
 
 
-def test_random_rays_visit_few_nodes_of_a_bvh(launcher: Launcher) -> None:
+def test_expected_number_of_bvh_nodes_that_a_random_ray_visits_is_small(launcher: Launcher) -> None:
     """In a BVH over random groups, rays would visit most nodes."""
     gaussians = random_gaussians(7, 4000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.03))
     tree = tree_of(launcher, gaussians)

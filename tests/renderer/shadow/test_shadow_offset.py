@@ -38,7 +38,7 @@ def test_shadow_offset_between_two_gaussians_is_that_of_the_smaller_one(
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_gaussian_between_a_wide_gaussian_and_a_near_light_casts_a_shadow(schedule: str) -> None:
+def test_gaussian_casts_a_shadow_if_the_light_is_nearer_than_the_shadow_ray_offset(schedule: str) -> None:
     """The small Gaussian is nearer than the offset of the wide one."""
     scene = ls.Scene([one_gaussian((0.0, 0.0, 0.5), 0.05, 0.5)])
     light = ShadowRig(schedule).light(scene, np.zeros((2, 3)), AHEAD, t_min=3.0, t_max=[1.0, 0.4])

@@ -492,7 +492,7 @@ def test_acceptance_scale_raises_the_probability_that_a_gaussian_blocks_a_shadow
 @pytest.mark.parametrize("samples", [256, pytest.param(1024, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("other", ["same set twice", "two sets"])
 @SHARED
-def test_random_numbers_of_stochastic_shadows_by_coincident_gaussians_are_independent(
+def test_coincident_gaussians_block_stochastic_shadow_rays_independently_of_each_other(
     rig: ShadowRig, shared: bool, other: str, samples: int
 ) -> None:
     """The two Gaussians of alpha 0.5 transmit a quarter of the light, not half."""
@@ -536,7 +536,7 @@ def test_cpu_and_cuda_schedules_draw_the_same_stochastic_shadows() -> None:
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
 @pytest.mark.parametrize("response", [{}, {"min_response": 0.2}, {"min_response": 0.3, "adaptive_clamping": False}])
-def test_shadow_rays_have_equal_hits_in_shrunk_and_full_bvhs(
+def test_stochastic_shadow_rays_receive_equal_light_in_shrunk_and_full_bvhs(
     rig: ShadowRig, degree: int, response: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The hits are equal for any kernel degree and number of instances."""

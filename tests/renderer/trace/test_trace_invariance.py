@@ -266,7 +266,7 @@ SCENES = many_scenes()
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_ray_packets_have_the_hits_of_single_rays(
+def test_images_traced_by_ray_packets_equal_those_of_single_rays(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, name: str
 ) -> None:
     """Sixteen rays traverse together; their hits equal those of single rays up to rounding."""

@@ -108,7 +108,7 @@ def test_samples_of_unlit_frames_are_averaged_in_display_values(backend: str) ->
 
 
 @pytest.mark.parametrize("strategy", [HIT, PASS])
-def test_samples_of_a_stochastic_pixel_use_different_random_numbers(
+def test_mean_alpha_of_64_samples_of_a_stochastic_pixel_is_near_its_expected_value(
     backend: str, strategy: ls.config.TraceStrategy
 ) -> None:
     """Every pixel approaches its expected alpha, even without sub-pixel offsets."""

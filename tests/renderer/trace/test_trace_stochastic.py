@@ -221,7 +221,7 @@ def test_statistical_tests_of_stochastic_frames_reject_slightly_wrong_oracles(
 
 
 @strategies
-def test_all_backends_draw_the_same_random_numbers_for_stochastic_frames(
+def test_stochastic_frames_of_equal_seed_are_almost_equal_on_all_backends(
     strategy: ls.config.TraceStrategy, backend: str
 ) -> None:
     """A seed gives the same image on every backend up to rounding, and another seed another image."""

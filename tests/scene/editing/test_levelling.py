@@ -114,7 +114,7 @@ def test_find_up_returns_the_stated_up_direction_of_a_capture_without_ground() -
     assert off(found, np.array(up) / np.linalg.norm(up)) < 1e-5
 
 
-def test_find_up_takes_no_wall_for_the_ground_of_a_capture_with_a_stated_up_direction() -> None:
+def test_find_up_does_not_mistake_a_wall_for_the_ground_of_a_capture_with_a_stated_up_direction() -> None:
     """A plane more than 50 degrees off the stated up is no ground, however large it is."""
     wall = floor()[:, [1, 0, 2]]
     found = ls.editing.find_up(ls.Scene([capture(wall, up=DOWN)]))

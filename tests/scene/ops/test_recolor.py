@@ -69,7 +69,7 @@ def test_scale_light_multiplies_negative_display_colours_by_the_factor() -> None
     np.testing.assert_allclose(mean_color(scale_light(black, [0.5]))[0], -0.05, atol=1e-6)
 
 
-def test_scale_light_by_zero_is_black_from_all_directions() -> None:
+def test_scale_light_by_zero_makes_gaussians_black_from_all_directions() -> None:
     """At factor 0, the colour is black from all directions."""
     dark = scale_light(gaussians(100), np.zeros(100))
     for direction in np.eye(3):
