@@ -451,7 +451,7 @@ def test_convert_writes_the_same_gaussians_in_every_format(work, target):
     assert np.allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
 
 
-def test_render_with_drop_invalid_renders_the_valid_gaussians(work):
+def test_render_with_drop_invalid_accepts_a_capture_with_nan(work):
     """Without ``--drop-invalid``, a capture with NaN is refused."""
     data = bytearray(work.path("capture.ply").read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()

@@ -49,7 +49,7 @@ def test_each_unused_setting_is_listed_with_the_frames_that_would_use_it() -> No
     assert "tone_map" in ls.RenderConfig().unused_settings(lit=False)
 
 
-def test_frames_that_are_exact_with_one_sample_use_no_random_numbers() -> None:
+def test_samples_and_seed_are_unused_settings_of_frames_that_are_exact_with_one_sample() -> None:
     """An exact frame is unlit, sorted, and rasterised by projected ellipses.
 
     Lit, stochastic or unscented frames use seed and samples.

@@ -387,7 +387,7 @@ def test_avatar_lighter_refuses_a_list_of_flags_unless_it_has_one_flag_per_actor
         lighter(ls.Scene(splats=[floor()])).light([puppet()], relit=[True, False])
 
 
-def test_lights_of_a_scene_without_materials_light_actors_like_given_lights() -> None:
+def test_actors_are_lit_by_scene_lights_as_by_given_ones_if_no_capture_has_a_material() -> None:
     """No capture reflects the scene's lights, so they light actors like given lights; captures do not block them."""
     environment = ls.LightEnvironment(intensity=0.5, name="sky")
     bare, ball = [ls.SplatInstance(floor())], ls.MeshInstance(icosphere(0.4))

@@ -88,7 +88,7 @@ def test_light_estimation_finds_neither_light_nor_sun_for_a_figure_without_surro
 
 
 @pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.deep)])
-def test_estimated_sun_is_never_below_the_ground(seed: int) -> None:
+def test_sun_estimated_without_a_given_centre_is_within_ten_degrees_or_none(seed: int) -> None:
     """The ground is found around the middle of the capture if no centre is given."""
     capture = lit_capture("sunny", seed)
     found = ls.inverse.estimate_sun(capture.scene)

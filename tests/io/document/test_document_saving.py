@@ -154,7 +154,7 @@ def test_saved_relative_paths_are_valid_in_symbolically_linked_folders() -> None
     assert len(round_trip(from_link, "other.toml").splats) == 1
 
 
-def test_saving_a_scene_elsewhere_changes_only_values_that_are_paths() -> None:
+def test_saving_a_scene_in_another_folder_keeps_its_texture_wraps() -> None:
     """A ``texture_wraps`` table has texture names as keys, but its values are not paths."""
     ls.save("capture.ply", random_gaussians(1, count=4))
     material = 'material = { texture_wraps = { normal_texture = "clamp" } }'

@@ -147,7 +147,9 @@ TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
         ),
     ],
 )
-def test_invalid_mesh_ply_is_refused_before_memory_is_allocated(tmp_path: Path, text: str, expected: str) -> None:
+def test_invalid_mesh_ply_is_refused_with_an_error_that_names_the_fault(
+    tmp_path: Path, text: str, expected: str
+) -> None:
     """Errors are counts above the file size, unknown types and bad indices."""
     refuses(tmp_path / "a.ply", text.encode(), expected)
 

@@ -130,7 +130,7 @@ def damaged_stream(path: Path, stream: int, replacement: bytes, states: int | No
 
 
 @pytest.mark.parametrize("states_size", [True, False])
-def test_spz_zstd_bombs_are_refused_without_using_memory(tmp_path: Path, states_size: bool) -> None:
+def test_spz_zstd_bombs_are_refused_before_they_fill_memory(tmp_path: Path, states_size: bool) -> None:
     """A stream that unpacks to a gigabyte is refused in one line."""
     packer = zstandard.ZstdCompressor(level=1, write_content_size=states_size)
     stream = packer.compressobj(size=2**28 if states_size else -1)

@@ -224,7 +224,9 @@ def test_bvh_tables_hold_no_addresses_of_freed_arrays_after_a_failed_upload(monk
     assert row == renderer._scene.assets[0].data.rotations.ptr != freed.rotations.ptr
 
 
-def test_bvh_refitted_before_a_failed_build_is_not_used_again(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frame_after_a_failed_bvh_build_equals_that_of_a_new_renderer(
+    backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A BVH that was refitted before the next build failed is not reused."""
     first, second = random_gaussians(11, 60), random_gaussians(12, 70)
     renderer = renderer_of(backend, TRACE)

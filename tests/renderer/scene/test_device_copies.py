@@ -136,7 +136,7 @@ def test_animated_gaussian_sets_reuse_their_device_memory(pipeline: ls.Pipeline,
 
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("change", ["albedo", "roughness", "degree", "count"])
-def test_gaussian_set_that_changes_its_size_is_uploaded_to_new_memory(change: str) -> None:
+def test_gaussian_set_that_changes_its_arrays_or_size_is_rendered_as_by_a_new_renderer(change: str) -> None:
     """A set with other arrays or sizes is uploaded again, and no frame shows the old set."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
     capture = shown.splats[0].gaussians
@@ -157,7 +157,7 @@ def test_gaussian_set_that_changes_its_size_is_uploaded_to_new_memory(change: st
 
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_gaussian_set_whose_memory_was_overwritten_is_uploaded_again(pipeline: ls.Pipeline) -> None:
+def test_gaussian_set_whose_memory_was_overwritten_is_rendered_as_by_a_new_renderer(pipeline: ls.Pipeline) -> None:
     """The memory contains the values of another set; sets that are still used keep their memory."""
     a, b, c = (
         dataclasses.replace(random_gaussians(7, 40), opacities=np.full(40, o, np.float32)) for o in (0.3, 0.6, 0.9)

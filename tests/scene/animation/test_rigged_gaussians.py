@@ -188,7 +188,7 @@ def test_bind_gaussians_refuses_a_mesh_without_a_rig(tmp_path):
 
 
 @pytest.mark.data
-def test_gaussians_of_a_walking_avatar_stay_on_its_mesh_and_face_outwards(data_dir):
+def test_gaussians_of_a_walking_avatar_stay_within_its_bounds_and_face_outwards(data_dir):
     """Throughout its clip, the real avatar keeps all Gaussians, on the posed mesh and facing outwards."""
     rigged = ls.bind_gaussians(ls.avatars.load_rig(data_dir / "avatars" / "walk.glb", vertex_colors=False), 5000)
     for time in np.linspace(0.0, rigged.rig.duration(), 5):
