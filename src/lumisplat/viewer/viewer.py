@@ -409,7 +409,7 @@ def view(
     Args:
         scene: A scene, an animation, a document, an asset, a file, or a list of files.
         config: Render settings, or a function that changes the default settings. None takes the settings of the scene
-            file; without any, ``Pipeline.HYBRID`` if the scene has lights or only meshes, else an unlit view as
+            file; without any, ``Pipeline.HYBRID`` if the scene has lights or meshes, else an unlit view as
             captured.
         port: Port to listen on; 0 takes a free one.
         host: Address to listen on. An address that is not loopback admits other machines that have the token.

@@ -64,7 +64,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Use the first camera of this file."""
     width: Annotated[int | None, setting("PX", "the camera's")] = None
-    """Set the image width; the aspect ratio is kept."""
+    """Set the image width (1280 without cameras); the aspect ratio is kept."""
     repeats: Annotated[int, arg(metavar="N")] = 20
     """Time N frames after the first."""
     viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)

@@ -27,7 +27,7 @@ Gaussians of the next finer one."""
 class Blocks(LoadingCommand):
     """Write a capture larger than memory as spatial blocks.
 
-    render and orbit then load only the blocks that a view sees.
+    render and orbit then load only the blocks that a view sees, for unlit raster images.
     Estimate the memory and loads of several workers: lumisplat blocks city --plan --cameras transforms.json --workers 3
     Guide: docs/guide/large_captures.md.
     First try: lumisplat blocks north.ply south.ply --coarser 3 -o city
@@ -40,7 +40,7 @@ class Blocks(LoadingCommand):
     cell: Annotated[float | None, arg(metavar="LENGTH", help_behavior_hint="(default: from the capture)")] = None
     """Cut space into cubes with at most this edge length, in scene units."""
     coarser: Annotated[int, arg(metavar="N")] = 0
-    """Add N coarser levels of detail, each with a quarter of the Gaussians."""
+    """Add N coarser levels of detail, each with a quarter of the Gaussians before it."""
     plan: Flag = False
     """Print what each worker would load from a folder of blocks; write nothing."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None

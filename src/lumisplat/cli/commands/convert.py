@@ -45,11 +45,11 @@ class Convert(LevelsCommand):
     sphere: Annotated[str | None, arg(metavar="X,Y,Z,R", help_behavior_hint="")] = None
     """Keep Gaussians whose mean lies within radius R of a point."""
     outside: Flag = False
-    """Keep the Gaussians outside of --box and --sphere instead."""
+    """Keep the other Gaussians instead of those in --box and --sphere."""
     keep: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=MIN..MAX", help_behavior_hint="")] = ()
     """Keep Gaussians with a value in a range: opacity=0.1.., scale_max=..0.5."""
     floaters: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
-    """Remove isolated Gaussians, with fewer than N neighbours; 4 suits most captures."""
+    """Remove Gaussians with fewer than N others within three scales; 4 suits most captures."""
     sh_degree: Annotated[int | None, arg(metavar="0..3", help_behavior_hint="")] = None
     """Write SH of this degree, shortened or padded with zeros."""
     decimate: Annotated[str | None, arg(metavar="COUNT|N%", help_behavior_hint="")] = None
@@ -63,7 +63,7 @@ class Convert(LevelsCommand):
     translate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Translate by this vector, after --scale and --rotate."""
     columns: Annotated[Literal["lumisplat", "r3dg"], arg(metavar="NAME")] = "lumisplat"
-    """Name the material columns of a .ply as lumisplat or r3dg does."""
+    """Name the material columns of a .ply as Lumisplat, or Relightable 3D Gaussians (r3dg), does."""
     incident: Flag = False
     """Keep the incident light that a .ply of Relightable 3D Gaussians stores."""
     morton: Flag = False

@@ -32,7 +32,7 @@ class Demo(DeviceCommand):
     output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")] = Path("out")
     """Write the images into this folder."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Set the image width; lit images are half as wide."""
+    """Set the image width; lit images are half as wide, the animation a quarter."""
     save_assets: Flag = False
     """Also write demo.ply and transforms.json, to try other commands."""
 

@@ -55,18 +55,18 @@ class Evaluate(LoadingCommand, DeviceCommand):
     scale: Annotated[float, arg(metavar="0..1", help_behavior_hint="(default: 1)")] = 1.0
     """Scale the images by this factor, above 0 and at most 1."""
     hold_out: Annotated[int, arg(metavar="N")] = _HOLD_OUT
-    """Compare every N-th image, which train --hold-out N does not train on."""
+    """Compare the images that train --hold-out N holds out: every N-th, or test images."""
     pipeline: Annotated[Literal["raster", "trace", "hybrid", "path"] | None, setting("NAME", "raster")] = None
-    """Render by raster or trace; with --materials, also hybrid or path."""
+    """Render by raster or trace; with --materials, also hybrid (its default) or path (in rooms)."""
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("NAME", "ewa")] = None
     """Rasterise as ellipses (ewa), or along the rays of any lens (unscented)."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
-    """Fill the background: a name, #rrggbb, or r,g,b in 0..1."""
+    """Fill transparent parts of images and renders: a name, #rrggbb, or r,g,b in 0..1."""
 
     materials: Flag = False
     """Compare materials and relit images with the ground truth in the folder."""
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """With --materials: read the estimated environment from this .exr or .hdr."""
+    """With --materials: read the estimated environment from this .exr or .hdr, else NAME.environment.exr."""
     samples: Annotated[int | None, setting("N", "64")] = None
     """With --materials: average N samples per pixel in relit images."""
 

@@ -55,11 +55,11 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
     camera: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """Name the camera of the first image; repeat for each further image."""
     mask: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
-    """Use only the white pixels of this mask; repeat for each further image."""
+    """Use only pixels where this mask is at least half white; repeat for each image."""
     report: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="")] = None
     """Write images, renders, differences and report.json into this folder."""
     environment_degree: Annotated[Literal["auto", "none", "0", "1", "2", "3", "4"], arg(metavar="N")] = "auto"
-    """Set the SH degree of the environment: auto (2), none, or 0 to 4."""
+    """Set the environment's SH degree, 0..4, or none; auto: 2 unless it has an image."""
     no_intensities: Flag = False
     """Keep the lights' intensities and colours fixed."""
     keep_hues: Flag = False
@@ -75,13 +75,13 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
     exposure: Annotated[str | None, setting("STOPS|fit", "the cameras'")] = None
     """Set the exposure of the images in stops, or find it (fit)."""
     tone_map: Annotated[Literal["none", "neutral", "agx"], arg(metavar="NAME")] = "none"
-    """Set the tone map of the images: none, neutral or agx."""
+    """Name the tone map that the images were made with: none, neutral or agx."""
     pipeline: Annotated[PipelineName | None, setting("NAME", "path")] = None
     """Render by raster, trace, hybrid or path."""
     samples: Annotated[int | None, setting("N", "64 with path")] = None
     """Average N samples per pixel, for each light."""
     shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("off|hard|soft", "hard")] = None
-    """Choose the shadows of pipelines other than path."""
+    """Cast no, hard or soft shadows; path casts soft ones for hard, too."""
     size: Annotated[int, arg(metavar="PX")] = 128
     """Scale images to this longer side before comparing them."""
 

@@ -46,15 +46,15 @@ class Metrics(LoadingCommand):
     files: Positional[
         Annotated[tuple[Path, ...], arg(metavar="IMAGE REFERENCE | AVATAR --scene SCENE", help_behavior_hint="")]
     ] = ()
-    """Compare two images, or two folders; with --scene, read an avatar."""
+    """Compare two images, or two folders of images; with --scene, give an avatar's capture."""
     metrics: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(default: psnr,ssim,flip)")] = None
-    """Choose from psnr, ssim, ms-ssim, flip, and for shadows sae, sm-iou, bf."""
+    """Choose psnr, ssim, ms-ssim, flip; for shadow images sae (strength), sm-iou (area), bf (outline)."""
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Compare the light on the avatar with this capture around it."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """With --scene: read the avatar's capture before relighting, and print the improvement."""
+    """With --scene: read the avatar as it was before relighting, and print the improvement."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
-    """Use scene Gaussians within this distance of the avatar's centre."""
+    """With --scene: use scene Gaussians within this distance of the avatar's centre."""
     json: Flag = False
     """Print JSON instead of a table."""
 

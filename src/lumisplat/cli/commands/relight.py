@@ -53,11 +53,11 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     gamma: Annotated[float | None, setting("0..1000", "1")] = None
     """Multiply the gathered light by this factor."""
     exponent: Annotated[float | None, setting("0.1..64", "1")] = None
-    """Narrow the cone about the normal that gathers light; 1 is matt."""
+    """Set the exponent of the cosine lobe that gathers light: 1 is matt, more glossier."""
     scale_max: Annotated[float | None, setting("0..1000", "4")] = None
     """Limit the factor by which light scales a colour, before --gamma."""
     normals: Annotated[Literal["auto", "smallest-axis", "pca"] | None, setting("NAME", "auto")] = None
-    """Take normals from the file (auto), smallest-axis, or pca of neighbours."""
+    """Take normals from the file, else smallest-axis (auto), always smallest-axis, or from neighbours (pca)."""
     degree: Annotated[int, arg(metavar="0..8")] = 3
     """Store the light as SH of this degree."""
     near: Annotated[float, arg(metavar="UNITS")] = 0.01
@@ -67,7 +67,7 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     probe: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the gathered light as an image, .exr."""
     up: UpOption = "auto"
-    """Set the up direction in the image of --probe."""
+    """Set the up direction of the scene, and of the image of --probe."""
 
     def run(self) -> None:
         """Gathers the light of the scene, relights the avatar and writes it."""

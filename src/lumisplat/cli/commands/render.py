@@ -83,7 +83,7 @@ class Render(ViewsCommand, FrameCommand):
     frames: Annotated[str, setting("LIST", "all")] = ""
     """Render only these images, by name, or number from 0: 1-100, 1-100x2 (every second), 1,5,9."""
     format: Annotated[Literal["auto", "png", "exr", "npz"], arg(metavar="FORMAT")] = "auto"
-    """Write png, exr or npz; auto follows the output's name."""
+    """Write png, exr or npz; auto follows the output's name; png in a folder."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
     """Write layers too, such as depth,normal,cryptomatte,deep; an unknown name lists all."""
     view: Annotated[ViewName | None, arg(metavar="VIEW", help_behavior_hint="")] = None

@@ -41,11 +41,11 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     sun: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Set the direction in which sunlight travels, in place of --light."""
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
-    """Set the fraction of the capture's light that shadows remove."""
+    """Set the largest fraction of the capture's light that shadows remove."""
     strength: Annotated[float | None, setting("FACTOR", "1")] = None
     """Multiply the absorption of light by the casters by this factor."""
     absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("NAME", "avg")] = None
-    """Convert opacity to absorption by avg, or by an ablation: simple, mass or diag."""
+    """Absorb by opacity at any size (avg), more if wide (simple), or small (mass, diag)."""
     sampling: Annotated[Literal["center", "stencil", "monte-carlo"] | None, setting("NAME", "monte-carlo")] = None
     """Sample the map per Gaussian by center, stencil (7 points) or monte-carlo (random points)."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None

@@ -51,15 +51,15 @@ class Train(DeviceCommand):
     cap: Annotated[int | None, setting("N", "100000")] = None
     """Limit the number of Gaussians."""
     hold_out: Annotated[int, arg(metavar="N")] = 8
-    """Hold out every N-th image for evaluation; 0 disables."""
+    """Hold out every N-th image, or the test images that FOLDER names; 0: none."""
     scale: Annotated[float, arg(metavar="0..1", help_behavior_hint="(default: 1)")] = 1.0
     """Scale the images by this factor, above 0 and at most 1."""
     poses: Annotated[Literal["colmap", "colmap-film"] | None, arg(metavar="NAME", help_behavior_hint="")] = None
     """Find missing poses by colmap, or colmap-film for video frames; needs pip install 'lumisplat[poses]'."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
-    """Fill the background: a name, #rrggbb, r,g,b, or random in each step."""
+    """Fill transparent parts of images: a name, #rrggbb, r,g,b, or random in each step."""
     densification: Annotated[Literal["mcmc", "adaptive"] | None, setting("NAME", "mcmc")] = None
-    """Add Gaussians by mcmc (up to --cap), or where gradients are large (adaptive)."""
+    """Add Gaussians until --cap (mcmc), or only where gradients are large (adaptive)."""
     sh_degree: Annotated[int | None, setting("0..3", "3")] = None
     """Set the SH degree of view-dependent colour."""
     pipeline: Annotated[Literal["raster", "trace"] | None, setting("raster|trace", "raster")] = None
@@ -67,7 +67,7 @@ class Train(DeviceCommand):
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("NAME", "ewa")] = None
     """Rasterise as ellipses (ewa), or along the rays of any lens (unscented)."""
     kernel_degree: Annotated[int | None, setting("0..5", "2")] = None
-    """Train with kernels exp(-c d^p) of this exponent p; others than 2 need --pipeline trace."""
+    """Set exponent p of falloff exp(-c d^p), 0: linear; others than 2 need --pipeline trace."""
     antialiased: Flag = False
     """Compensate opacities for the width of pixels (Mip-Splatting)."""
     exposures: Flag = False
@@ -75,15 +75,15 @@ class Train(DeviceCommand):
     refine_poses: Flag = False
     """Optimise the camera poses too."""
     relightable: Flag = False
-    """Find albedo, roughness, normals and the environment after training."""
+    """Find albedo, roughness, normals and environment after training; sets loss weights unless one is given."""
     material_steps: Annotated[int | None, setting("N", "300")] = None
     """Refine the materials of --relightable in N steps."""
     flatness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """Set the weight of the loss that flattens Gaussians, for relighting; try 0.3."""
+    """Set the weight of the loss that flattens Gaussians; --relightable sets 0.3."""
     normals: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """Set the weight of the loss that aligns Gaussians with surfaces; try 0.05."""
+    """Set the weight of the loss that aligns Gaussians with surfaces; --relightable sets 0.05."""
     depth_spread: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """Set the weight of the loss that thins surfaces, for relighting; try 0.3."""
+    """Set the weight of the loss that thins surfaces; --relightable sets 0.3."""
     prune_below: Annotated[float | None, setting("WEIGHT", "0.01")] = None
     """Remove Gaussians with less blending weight than this in every image, at the end."""
     seed: Annotated[int | None, setting("N", "0")] = None

@@ -155,9 +155,9 @@ class CameraOptions(ViewpointOptions):
     """Options of a viewpoint, the lens radius, and the pixel that the lens focuses on."""
 
     aperture: Annotated[float | None, setting("UNITS", "the camera's, or 0")] = None
-    """Set the lens radius; objects out of focus blur."""
+    """Set the lens radius (trace and path only); objects out of focus blur."""
     focus: Annotated[str | None, setting("X,Y", "the target")] = None
-    """Focus on the surface in this pixel; 0,0 is the upper left."""
+    """With an aperture: focus on the surface in this pixel; 0,0 is the upper left."""
 
     def pixel(self) -> tuple[int, int] | None:
         """Parses ``--focus`` to the column and row of a pixel; None without the option.

@@ -393,7 +393,7 @@ class SamplesCommand(PipelineCommand):
     """Base class of commands with ``--samples``."""
 
     samples: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
-    """Average N samples per pixel; auto takes 1 to 64; realtime writes the N-th frame."""
+    """Average N samples per pixel (auto: 1 to 64); realtime: render writes the N-th frame."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
         """Returns render settings as `PipelineCommand.pipeline_config` does, with ``--samples`` applied, too."""

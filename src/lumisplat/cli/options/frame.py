@@ -41,9 +41,9 @@ class LightOptions:
     """Options that set lighting, shadows and tone map of `lumisplat.RenderConfig`."""
 
     lighting: Annotated[Literal["auto", "on", "off"] | None, setting("auto|on|off", "auto")] = None
-    """Light the scene; auto does so if it has lights or only meshes."""
+    """Light the scene; auto: if it has lights or meshes, always with path and realtime."""
     shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("off|hard|soft", "hard")] = None
-    """Cast no, hard or soft shadows; soft shadows need several samples."""
+    """Cast no, hard or soft shadows; path and realtime cast soft ones for hard, too."""
     tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("NAME", "none")] = None
     """Tone-map lit colours by none (clips), neutral (preserves hues) or agx (filmic)."""
 
@@ -157,11 +157,11 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
     """Base class of commands that render frames."""
 
     camera_path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Move the camera along the cameras of this file, one second each."""
+    """Move the camera along this file's cameras; render: at its times, or one a second."""
     width: Annotated[int | None, setting("PX", "the camera's")] = None
-    """Set the image width; alone, it keeps the aspect ratio."""
+    """Set the image width (1280 without cameras); alone, it keeps the aspect ratio."""
     height: Annotated[int | None, setting("PX", "the camera's")] = None
-    """Set the image height; alone, it keeps the aspect ratio."""
+    """Set the image height (720 without cameras); alone, it keeps the aspect ratio."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
     """Fill the background: transparent, a name, #rrggbb, or r,g,b in 0..1."""
     stats: Flag = False
