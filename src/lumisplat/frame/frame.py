@@ -150,7 +150,7 @@ class Frame(FrameData):
             layers: Names from `LAYERS`, as a list or a comma-separated text. An EXR gets the layers as channels (None:
                 all layers that the frame has). Beside a PNG, each layer becomes a file ``NAME.LAYER.png`` (None: no
                 files), and depth also a 16-bit grey file ``NAME.depth16.png`` with `depth_range` in its metadata. An
-                NPZ has all layers.
+                NPZ has all layers but ``shadow_matte``, whatever is given.
             mattes: Object and material mattes (Cryptomatte) to add to an EXR, one EXR part each, see
                 `lumisplat.layers.render_mattes`.
 
@@ -233,6 +233,10 @@ class Frame(FrameData):
     def view_limits(self, name: str) -> tuple[float, float]:
         """Returns the default values at the two ends of a view's colour map. Compare frames with equal limits.
 
+        Depth: the 1st and the 99th percentile of this frame's depths. ``hits``: 0 and 255 Gaussians; ``motion``: 0 and
+        16 pixels; ``probes``: 0 and 64 updates; ``history``: 0 and the largest number of frames that the settings
+        allow. Other views have no limits, and give 0 and 1.
+
         Raises:
             ConfigError: There is no view of this name.
         """
@@ -243,14 +247,15 @@ class Frame(FrameData):
 
         Captured radiance is not denoised, and pixels that show only captured radiance keep their exact values. Albedo
         and normals guide the denoiser if they are free of noise; ``RenderConfig.aovs`` must then contain ``albedo``.
-        They are noisy with an aperture, with a stochastic strategy, and in the ``PATH`` pipeline unless
-        ``path.primary`` is ``ISO``. All images other than the light and the colour, including alpha, are unchanged.
+        They are noisy with an aperture and, where Gaussians are visible, with a stochastic strategy or in the ``PATH``
+        pipeline unless ``path.primary`` is ``ISO``. All images other than the light and the colour, including alpha,
+        are unchanged.
 
         Returns:
             A new frame, to which no samples can be added; this frame itself if it is already denoised.
 
         Raises:
-            ConfigError: The frame is unlit, or has no albedo.
+            ConfigError: The frame is unlit, or lacks the albedo as a guide.
             MissingExtraError: The denoiser is not installed; the message says how to install it.
         """
         if self.is_denoised:
@@ -339,7 +344,7 @@ class Frame(FrameData):
         return channels | exr_channels(self, present_layers(self) if names is None else layer_names(names))
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Returns every image by its field name, and the names of the lights if the scene has any."""
+        """Returns every image that the frame has, by its field name, and ``light_names`` if it has layers of lights."""
         present = [name for name in (*_LIT_PARTS, *RADIANCE, *COUNTS) if self.has(name)]
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*EVERY_FRAME, *present)}
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})

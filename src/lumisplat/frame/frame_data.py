@@ -24,12 +24,13 @@ class FrameStats:
     gaussian_count: int
     """Number of Gaussians in the scene, over all instances."""
     visible_count: int
-    """Number of Gaussians whose footprint touches the image. Only the rasteriser counts them."""
+    """Number of Gaussians whose footprint touches the image. Only the rasteriser counts them; otherwise 0."""
     nonfinite_count: int
     """Number of discarded items with NaN or infinite values: Gaussians that the rasteriser dropped, plus samples left
     out of a pixel's mean."""
     pair_count: int
-    """Number of pairs of a tile and a Gaussian that touches the tile. Only the rasteriser counts them."""
+    """Number of pairs of a tile and a Gaussian that touches the tile. Only the rasteriser counts them; otherwise
+    0."""
     triangle_count: int
     """Number of triangles in the scene, over all instances."""
     memory_bytes: int
@@ -55,11 +56,16 @@ class FrameData:
     """Radiance in ``color_space``, composited over the background, (H, W, 3). A lit frame's colour is ``captured``
     converted to linear radiance, plus ``light``."""
     alpha: FloatArray
-    """Coverage 0..1, (H, W); 1 wherever there is a mesh, even of clear glass, or a visible environment."""
+    """Coverage 0..1, (H, W). A mesh counts as 1, even of clear glass, unless its ``alpha_mode`` cuts it out or blends
+    it; so does a visible environment in lit frames with a background."""
     depth: FloatArray
-    """Distance along the pixel's ray to the iso-opacity surface, scene units, (H, W); inf without a surface."""
+    """Distance along the pixel's ray to the surface, scene units, (H, W): a mesh, or the first Gaussian behind which
+    less than ``depth_iso_transmittance`` (default 0.7) of the background is visible; inf without a surface. Instead, a
+    Gaussian drawn at random counts with stochastic strategies, and in path tracing on captures that reflect light,
+    unless ``path.primary`` is ``ISO``."""
     normal: FloatArray
-    """World-space unit normal towards the viewer, (H, W, 3); zero without a hit."""
+    """World-space unit normal, (H, W, 3); towards the viewer, but shading normals may lean slightly away. Zero without
+    a hit."""
     gaussian_index: IntArray
     """Index, within its instance, of the Gaussian at the pixel's surface, (H, W); -1: none."""
     instance_index: IntArray
@@ -74,7 +80,7 @@ class FrameData:
     black in its place."""
     samples: int = 0
     """Number of samples per pixel that ``color`` and ``alpha`` average; with adaptive sampling, the largest number of
-    any pixel; 0: rasterised."""
+    any pixel; 0: an unlit frame of the rasteriser that is exact without samples."""
     config: RenderConfig | None = None
     """Settings of the rendering; for a resumed frame, the settings of its last call. None: unknown."""
     stats: FrameStats | None = None
@@ -93,8 +99,8 @@ class FrameData:
     albedo: FloatArray | None = None
     """Linear albedo of the surfaces, (H, W, 3); None: ``RenderConfig.aovs`` does not request it."""
     emission: FloatArray | None = None
-    """Linear radiance emitted by surfaces, including captured radiance, (H, W, 3); None: ``RenderConfig.aovs`` does
-    not request it."""
+    """Linear radiance emitted by surfaces, including captured radiance, (H, W, 3); in path-traced frames, also the
+    background. None: ``RenderConfig.aovs`` does not request it."""
     reflection: FloatArray | None = None
     """Linear radiance of other surfaces that each pixel's surface shows by mirror reflection, glass and gloss, (H, W,
     3); None: ``RenderConfig.aovs`` does not request it.
@@ -107,10 +113,10 @@ class FrameData:
     without inserted objects. Below 1 in shadows of the objects, above 1 where the objects bounce light onto a catcher,
     and 1 elsewhere. None: ``RenderConfig.aovs`` does not request it."""
     light_direct: FloatArray | None = None
-    """Linear radiance reflected from each of L lights without occlusion, (L, H, W, 3). On shadow catchers, the portion
-    of the captured colour that comes from the light. In frames that are not path-traced, ``color`` is the sum of
-    ``light_direct * light_shadow`` over lights, plus ``emission`` and ``reflection``. None: ``RenderConfig.aovs`` does
-    not request ``lights``."""
+    """Linear radiance reflected from each of L enabled lights without occlusion, (L, H, W, 3). On shadow catchers, the
+    portion of the captured colour that comes from the light. In raster, hybrid and trace frames, ``color`` is the sum
+    of ``light_direct * light_shadow`` over lights, plus ``emission`` and ``reflection``, plus the background or visible
+    environment behind the surfaces. None: ``RenderConfig.aovs`` does not request ``lights``."""
     light_shadow: FloatArray | None = None
     """Fraction of ``light_direct`` that arrives despite shadows, for each of L lights, 0..1, (L, H, W, 3); None:
     ``RenderConfig.aovs`` does not request ``lights``."""
@@ -119,7 +125,8 @@ class FrameData:
     mirrors and after bounces. The last entry is the emission of surfaces; no light causes it. The sum over the first
     axis equals the sum of ``bounces``. None: not path-traced, or ``RenderConfig.aovs`` does not request ``lights``."""
     light_names: tuple[str, ...] = ()
-    """Name of each light, in the order of ``light_direct``."""
+    """Unique name of each enabled light, in the order of ``light_direct``; a light without a name is called ``light``
+    and its index in the scene."""
     direct_diffuse: FloatArray | None = None
     """Direct light scattered diffusely by the first surface: linear radiance, (H, W, 3). In a path-traced frame, the
     sum of ``direct_diffuse``, ``direct_glossy``, ``indirect_diffuse``, ``indirect_glossy`` and ``emission`` is
@@ -191,7 +198,9 @@ class FrameData:
 
     @property
     def depth_z(self) -> FloatArray:
-        """View depth of each pixel's surface, (H, W): negative behind a fisheye camera; inf without a surface.
+        """View depth (along the optical axis) of each pixel's surface, (H, W): negative behind a fisheye camera.
+
+        Pixels without a surface have inf.
 
         With an aperture, ``depth`` is taken as the distance along the ray through the centre of the lens.
         """

@@ -53,11 +53,16 @@ def _pixel_count(value: float, name: str = "width") -> int:
 
 @frozen(kw_only=True)
 class Camera:
-    """A camera with OpenCV axes: projection and pose; ray-traced frames also use its thin lens and rolling shutter.
+    """A camera with OpenCV axes: projection and pose, thin lens and rolling shutter.
+
+    `Pipeline.TRACE` and `Pipeline.PATH` draw every camera. The others, which rasterise, refuse an aperture and
+    orthographic cameras. Fisheyes and rolling shutters are drawn by ``RASTER`` and ``HYBRID`` only with
+    ``Projection.UNSCENTED``, and not by ``REALTIME``.
 
     Raises:
-        SceneError: A size or focal length is not positive, a pose is not rigid, the aperture is negative, or the two
-            poses of a rolling shutter differ by a rotation of 180 degrees.
+        SceneError: A size or focal length is not positive, a pose is not rigid, the aperture is negative, the two poses
+            of a rolling shutter differ by a rotation of 180 degrees, an orthographic camera has distortion, or the
+            window does not fit the image.
     """
 
     width: Annotated[int, Range(1, 65536, "pixels")] = given(converter=_pixel_count)
@@ -144,11 +149,11 @@ class Camera:
             height: Image height, pixels.
             fov_y: Vertical field of view, radians, 0 to pi; for a fisheye up to 2 pi. An orthographic camera shows as
                 much as a pinhole camera with this field of view at the distance of ``target``.
-            near: Near plane, scene units.
+            near: Near plane, scene units; the default value adapts to small scenes, see ``near``.
             name: Name of the frame.
             model: Mapping from pixels to rays.
             aperture: Radius of the thin lens, scene units; 0: everything is in focus.
-            focus_distance: Distance in focus, scene units; None: the distance of ``target``.
+            focus_distance: View depth in focus, scene units; None: the distance of ``target``.
 
         Raises:
             SceneError: ``eye`` equals ``target``, ``up`` is parallel to the view, the field of view is out of range,
@@ -200,7 +205,10 @@ class Camera:
 
     @property
     def fov_y(self) -> float:
-        """Vertical field of view in radians for a centred principal point; 0 for an orthographic camera."""
+        """Vertical field of view in radians of the whole image; 0 for an orthographic camera.
+
+        Exact for a centred principal point and a lens without distortion.
+        """
         if self.model is CameraModel.FISHEYE:
             return self.height / self.fy
         return 2.0 * math.atan(0.5 * self.height / self.fy) if self.model is CameraModel.PINHOLE else 0.0
@@ -212,12 +220,12 @@ class Camera:
 
     @property
     def shutter_motion(self) -> Doubles:
-        """Displacement of the eye from the first row's exposure to the last's, world space, (3,); 0: global shutter."""
+        """Displacement of the eye from the first pose to ``camera_from_world_end``, world space, (3,); 0 without."""
         return self._world_from_camera_end[:3, 3] - self.eye
 
     @property
     def shutter_rotation(self) -> Doubles:
-        """Rotation of the camera from the first row's exposure to the last's: world-space axis times radians, (3,)."""
+        """Rotation from first pose to ``camera_from_world_end``: world-space axis times radians, (3,); 0 without."""
         sine, cosine = self._shutter_sine_cosine()
         length = float(np.linalg.norm(sine))
         return sine * (math.atan2(length, cosine) / length) if length > 0.0 else np.zeros(3)
@@ -251,6 +259,8 @@ class Camera:
     def scaled(self, width: int | None = None, height: int | None = None) -> Camera:
         """Returns the same view at another resolution; a missing side follows from the aspect ratio.
 
+        Two given sides with another aspect ratio stretch the image.
+
         Raises:
             SceneError: The camera has a window. The window's edges, scaled, might not lie on whole pixels.
         """
@@ -270,7 +280,8 @@ class Camera:
         """Cuts the image into ``columns`` by ``rows`` windows of similar size; returns their cameras, row by row.
 
         Raises:
-            SceneError: The camera already has a window, or a side of the image has fewer than 16 pixels per window.
+            SceneError: The camera already has a window, or there are more windows along a side of the image than steps
+                of 16 pixels.
         """
         if self.window is not None:
             raise SceneError("a camera with a window cannot be cut again: cut the whole image")

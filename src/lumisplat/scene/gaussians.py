@@ -44,10 +44,11 @@ class Gaussians:
     """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
 
     Arrays become read-only float32; an array that already is read-only float32 is not copied. Arrays must be finite and
-    of matching shapes, scales positive, and opacities in 0..1. Quaternions are normalised.
+    of matching shapes, with at least one Gaussian; scales must be positive, and opacities, albedo, roughness and
+    metallic in 0..1. Quaternions and normals may have any length above 0, and are normalised.
 
     Raises:
-        SceneError: An array breaks one of these rules; the message names the array and counts its invalid values.
+        SceneError: A value breaks one of these rules; the message names the array and counts its invalid values.
     """
 
     means: FloatArray = given(converter=to_floats)
@@ -62,19 +63,22 @@ class Gaussians:
     """SH coefficients of display-referred sRGB in INRIA's order and signs, shape (N, K, 3) with K = 1, 4, 9 or 16
     coefficients per channel. The colour is max(SH sum + 0.5, 0)."""
     normals: FloatArray | None = given(converter=to_floats_or_none, default=None)
-    """Unit surface normals in object space, shape (N, 3); None: not stored, and lighting uses the shortest axes."""
+    """Unit surface normals in object space, shape (N, 3), outward; None: not stored, and lighting uses the normals of
+    the Gaussians' shapes, turned towards the viewer."""
     albedo: FloatArray | None = given(converter=to_floats_or_none, default=None)
-    """Linear Rec.709 base colour, 0..1, shape (N, 3); None: lighting uses the decoded captured colour instead."""
+    """Linear Rec.709 base colour, 0..1, shape (N, 3). Lighting uses it if the instance's material reflects light and
+    has no ``emissive``; otherwise, or with None, lighting uses the captured colour, decoded to linear."""
     roughness: FloatArray | None = given(converter=to_floats_or_none, default=None)
-    """Perceptual roughness, 0..1, shape (N,); None: lighting uses the roughness of the material."""
+    """Perceptual roughness, 0..1, shape (N,); None: lighting uses the roughness of the `MaterialPbr`."""
     metallic: FloatArray | None = given(converter=to_floats_or_none, default=None)
-    """Metalness, 0..1, shape (N,); None: lighting uses the metalness of the material."""
+    """Metalness, 0..1, shape (N,); None: lighting uses the metalness of the `MaterialPbr`."""
     antialiased: bool = field(default=False, kw_only=True)
-    """True if the capture was trained with Mip-Splatting's opacity compensation; rendering then applies it, too."""
+    """True if the capture was trained with Mip-Splatting's opacity compensation. Rendering then applies it, too, unless
+    the setting ``antialiasing`` of the rasteriser or ray tracer is not ``AUTO``."""
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] = field(default=KERNEL_DEGREE, kw_only=True)
     """Exponent of the distance in the kernel that the capture was trained with: 0 is linear, 2 the Gaussian of
-    ordinary captures, 5 quintic. Only the ray tracer uses this degree; the rasteriser draws every capture with degree
-    2."""
+    ordinary captures, 5 quintic. Only rays use this degree, including shadow rays of all pipelines, unless
+    ``ResponseConfig.kernel_degree`` replaces it; the rasteriser draws every capture with degree 2."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
     """Comment lines of the file from which the capture was read; conversions to other file formats keep the lines."""
     incident: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
@@ -84,11 +88,11 @@ class Gaussians:
     them."""
 
     up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
-    """Unit vector that points up in the capture; None: unknown. Accepts an axis name or a direction, as
+    """Unit vector that points up in the capture, object space; None: unknown. Accepts an axis name or a direction, as
     `lumisplat.Scene` does."""
     first_view: Camera | None = field(default=None, kw_only=True)
-    """Default camera for looking at the capture, such as the camera of one of its images; None: unknown. The camera's
-    ``focus_distance`` is the depth of the point at which the camera looks."""
+    """Default camera for looking at the capture, object space, such as the camera of one of its images; None: unknown.
+    The camera's ``focus_distance`` is the depth of the point at which the camera looks."""
 
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
     """World position of the capture's coordinate origin, scene units, float64; a transform given to an instance

@@ -138,13 +138,14 @@ def _unit_quaternion(values: npt.ArrayLike, name: str = "rotation_wxyz") -> tupl
 
 @frozen
 class LightPoint:
-    """A point light that shines equally in all directions; with a radius, its shadows are soft.
+    """A point light that shines equally in all directions.
 
-    Irradiance at distance d is ``intensity / d^2``, faded out towards ``range`` by the window that glTF recommends,
-    ``clamp(1 - (d / range)^4, 0, 1)``.
+    The irradiance of a surface that faces the light at distance d is ``intensity / d^2``, faded out towards ``range``
+    by the window that glTF recommends, ``clamp(1 - (d / range)^4, 0, 1)``.
 
     Raises:
-        SceneError: A value is negative, not finite or of the wrong shape.
+        SceneError: A colour, intensity, range or radius is out of its range, or a value is not a finite number (except
+            ``range``) or of the wrong shape.
     """
 
     kind: ClassVar[str] = "point"
@@ -161,7 +162,8 @@ class LightPoint:
     range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
     """Distance beyond which the light has no effect."""
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
-    """Radius of the light for soft shadows; 0: hard shadows."""
+    """Radius of the light for soft shadows; 0: hard shadows. Only `Pipeline.PATH`, `Pipeline.REALTIME` and the setting
+    ``shadows="soft"`` use it."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -185,8 +187,8 @@ class LightSpot:
     """A spot light: full intensity within ``inner_angle`` of its axis, fading to zero at ``outer_angle``.
 
     Raises:
-        SceneError: A value is negative, not finite or of the wrong shape, the direction has no length, or the angles
-            are not ``0 <= inner < outer <= pi / 2``.
+        SceneError: A colour or number is out of its range, a vector is not three finite numbers, the direction has no
+            length or is given together with ``target``, or the angles are not ``0 <= inner < outer <= pi / 2``.
     """
 
     kind: ClassVar[str] = "spot"
@@ -201,7 +203,7 @@ class LightSpot:
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="cd")] = 1.0
-    """Luminous intensity along the axis."""
+    """Luminous intensity, candela, within ``inner_angle`` of the axis."""
     range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
     """Distance beyond which the light has no effect."""
     inner_angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
@@ -209,7 +211,8 @@ class LightSpot:
     outer_angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = math.pi / 4.0
     """Angle from the axis at which the light has faded to zero."""
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
-    """Radius of the light for soft shadows; 0: hard shadows."""
+    """Radius of the light for soft shadows; 0: hard shadows. Only `Pipeline.PATH`, `Pipeline.REALTIME` and the setting
+    ``shadows="soft"`` use it."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -217,7 +220,7 @@ class LightSpot:
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """Point that the light aims at, world position, shape (3,); replaces ``direction``."""
+    """Point that the light aims at, world position, shape (3,); given instead of ``direction``."""
 
     def __post_init__(self, target: npt.ArrayLike | None) -> None:
         take_scene_fields(self)
@@ -245,8 +248,8 @@ class LightDirectional:
     """Parallel light from infinitely far away, such as the sun.
 
     Raises:
-        SceneError: A value is negative, not finite or of the wrong shape, the direction has no length, or the angle is
-            above pi / 2.
+        SceneError: A colour or number is out of its range, a vector is not three finite numbers, the direction has no
+            length or is given together with ``position``, or ``target`` is given without ``position``.
     """
 
     kind: ClassVar[str] = "directional"
@@ -259,9 +262,10 @@ class LightDirectional:
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     """Linear Rec.709 colour, multiplied by ``intensity``."""
     intensity: Annotated[float, Range(0.0, unit="lux")] = 1.0
-    """Illuminance of a surface that faces the light."""
+    """Illuminance, lux, of a surface that faces the light."""
     angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
-    """Angular radius of the light for soft shadows; the sun's is 0.27 degrees (0.0047)."""
+    """Angular radius (half the visible angle) of the light for soft shadows; the sun's is 0.27 degrees (0.0047). Only
+    `Pipeline.PATH`, `Pipeline.REALTIME` and the setting ``shadows="soft"`` use it."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -274,7 +278,8 @@ class LightDirectional:
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """World position, at any distance, from which the light travels towards ``target``; replaces ``direction``."""
+    """World position, at any distance, from which the light travels towards ``target``; given instead of ``direction``.
+    """
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """World position towards which the light travels, if ``position`` is given; None: the origin."""
 
@@ -295,7 +300,7 @@ class LightSphere:
     radius^2`` candela.
 
     Raises:
-        SceneError: A value is negative, not finite or of the wrong shape.
+        SceneError: A colour, intensity or radius is out of its range, or the position is not three finite numbers.
     """
 
     kind: ClassVar[str] = "sphere"
@@ -347,7 +352,8 @@ class LightRect:
     """A rectangle or parallelogram that shines on one side. Frames show the light itself only with the path pipeline.
 
     Raises:
-        SceneError: A value is negative, not finite or of the wrong shape, or the edges are parallel.
+        SceneError: A colour, intensity or size is out of its range, a vector is not finite numbers of the right shape,
+            the edges are parallel, or they are given together with ``target``.
     """
 
     kind: ClassVar[str] = "rect"
@@ -377,7 +383,7 @@ class LightRect:
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """Point that the light faces, world position, shape (3,); with ``size``, replaces the edges."""
+    """Point that the light faces, world position, shape (3,); given with ``size`` instead of the edges."""
     size: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """Width and height, scene units, shape (2,), of a rectangle given by ``target``. The edge along the width is
     horizontal, with y as the vertical."""
@@ -435,7 +441,8 @@ class LightDisk:
     """A disk-shaped area light that shines on one side. Frames show the disk itself only with the path pipeline.
 
     Raises:
-        SceneError: A value is negative, not finite or of the wrong shape, or the direction has no length.
+        SceneError: A colour, intensity or radius is out of its range, a vector is not three finite numbers, or the
+            direction has no length or is given together with ``target``.
     """
 
     kind: ClassVar[str] = "disk"
@@ -464,7 +471,7 @@ class LightDisk:
     name: str = field(default="", kw_only=True)
     """Name of the light; in EXR files, also the name of the layer with this light's contribution."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """Point that the light faces, world position, shape (3,); replaces ``direction``."""
+    """Point that the light faces, world position, shape (3,); given instead of ``direction``."""
 
     def __post_init__(self, target: npt.ArrayLike | None) -> None:
         take_scene_fields(self)
@@ -535,7 +542,8 @@ class LightEnvironment:
     """World-from-environment rotation, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), 180 degrees
     about x."""
     visible: bool = True
-    """Show the environment as the background of frames. Mirrors reflect the environment in either case."""
+    """Show the environment as the background of lit frames, unless ``RenderConfig.background`` is None. Mirrors reflect
+    the environment in either case."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the environment lights the scene and may be its background; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)

@@ -107,8 +107,8 @@ class MaterialPbr:
     """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,volume,...}).
 
     At roughness 0 the surface is smooth, and reflects or refracts rays in one direction: a metal is a mirror, a
-    transmissive dielectric is glass. Unlit frames show smooth surfaces as such, and all other surfaces in their base
-    colour.
+    transmissive dielectric is glass. In `Pipeline.RASTER`, which traces no such rays, they show only the environment or
+    the background. Unlit frames show smooth surfaces as such, and all other surfaces in their base colour.
 
     Raises:
         SceneError: A value is outside its range, or a texture is not (H, W, 3 or 4) uint8.
@@ -240,9 +240,9 @@ class MaterialSimple:
     """
 
     emissive: Color = given(converter=COLOR, default=(1.0, 1.0, 1.0))
-    """Fraction of the surface colour that is emitted, with or without lights."""
+    """Factor on the surface colour that is emitted, with or without lights; may exceed 1."""
     ambient: Color = given(converter=COLOR, default=(0.0, 0.0, 0.0))
-    """Fraction of the surface colour that lit frames show everywhere, also in shadow."""
+    """Factor on the surface colour that lit frames show everywhere, also in shadow; may exceed 1."""
     diffuse: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))
     """Fraction of the surface colour that is reflected diffusely."""
     specular: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))

@@ -117,9 +117,10 @@ class PlacedInstance:
     name: str = ""
     position: InitVar[npt.ArrayLike | None] = None
     """World position of the object's origin, shape (3,); None: the origin that the capture or mesh stores. The
-    placement arguments (position, angles, scale, up, target, front) replace ``world_from_object``."""
+    placement arguments (position, angles, scale, up, target, front) exclude ``world_from_object``."""
     rotation_degrees: InitVar[npt.ArrayLike | None] = None
-    """Rotations about the x, then y, then z axis in degrees, shape (3,), before the object is stood upright."""
+    """Right-handed rotations about the x, then y, then z axis in degrees, shape (3,), before the object is stood
+    upright; None: none."""
     scale_by: InitVar[float | None] = None
     """Uniform scale factor, above 0; None: 1."""
     up: InitVar[str | npt.ArrayLike | None] = None

@@ -42,21 +42,25 @@ class SplatInstance(PlacedInstance):
     """A capture placed in the world by rotation, uniform scale and translation.
 
     Raises:
-        SceneError: ``gaussians`` is not a `Gaussians`, or ``world_from_object`` mirrors, shears or scales the axes
-            differently; the message names the fault and its size.
+        SceneError: ``gaussians`` is not a `Gaussians`; ``world_from_object`` mirrors, shears or scales the axes
+            differently (the message names the fault and its size); or a matrix is given together with a position or
+            another placement argument.
     """
 
     gaussians: Gaussians
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Similarity transform, shape (4, 4); None: a translation to the ``origin`` of the Gaussians."""
+    """Similarity transform, shape (4, 4); None: as the placement arguments (``position`` and so on) say, or without
+    them a translation to the ``origin`` of the Gaussians."""
     material: Material | None = None
-    """Material that reflects light; None: the capture shows its captured colours, whatever the lights."""
+    """Material that reflects light in lit frames; None: the capture shows its captured colours, whatever the lights."""
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = field(default=SH_DEGREE_MAX, kw_only=True)
-    """Highest SH degree that is evaluated. A lower degree removes view-dependent colour that was baked in."""
+    """Highest SH degree that is evaluated; the settings of the rasteriser and of the ray tracer may lower it further. A
+    lower degree removes view-dependent colour that was baked in."""
     shadow_catcher: bool = field(default=False, kw_only=True)
-    """Make the capture a shadow catcher: the capture shows its captured colours, darkened where other objects block a
-    light. Lights do not brighten the capture, and its own Gaussians do not shadow it. Its ambient light, the
-    ``ambient`` of a `MaterialSimple` (0.5 without a material), sets how dark shadows are."""
+    """Make the capture a shadow catcher: in lit frames it shows its captured colours, darkened where other objects
+    block a light. Lights do not brighten the capture, and its own Gaussians do not shadow it. Its ambient light sets
+    how dark shadows are: the ``ambient`` of a `MaterialSimple`, 0.5 with a `MaterialPbr`; without a material 0.5, or 0
+    in scenes with an environment (itself ambient light) or without lights."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")
@@ -98,9 +102,10 @@ class MeshInstance(PlacedInstance):
 
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Affine transform, shape (4, 4); None: a translation to the ``origin`` of the mesh."""
+    """Affine transform, shape (4, 4); None: as the placement arguments (``position`` and so on) say, or without them a
+    translation to the ``origin`` of the mesh."""
     shadow_catcher: bool = field(default=False, kw_only=True)
-    """Make the mesh a shadow catcher: the frame shows only the shadows of other objects on the mesh, and, if it is
+    """Make the mesh a shadow catcher: a lit frame shows only the shadows of other objects on the mesh, and, if it is
     shiny, their reflections. The mesh stands for a surface of a capture, or of an image composited behind the frame. It
     hides nothing and casts no shadow. Captures with a reflecting material cast shadows on the mesh. Unlit captures cast
     shadows on it only if another capture is a shadow catcher."""
@@ -242,8 +247,8 @@ class Scene:
     def upright_wxyz(self) -> tuple[float, float, float, float]:
         """Quaternion, scalar first, of the rotation that stands an object with y up upright in the scene.
 
-        The object's +z side, its front in glTF, then faces the viewer for whom `front_vector` defines the scene's
-        front.
+        The object's +z side, its front in glTF, then faces a viewer in front of the scene: by convention, scenes with y
+        down are viewed along +z, scenes with y up along -z.
         """
         w, x, y, z = quaternions_from_matrices(y_up_from(self.up_direction).T[None])[0]
         return float(w), float(x), float(y), float(z)

@@ -140,8 +140,8 @@ class Actor:
     ``motion.at(time) @ world_from_object``.
 
     Raises:
-        SceneError: A field has the wrong type, a transform is not a similarity (meshes accept any affine transform), a
-            number is out of range, or the clip does not exist.
+        SceneError: A field has the wrong type, a transform is not a similarity (meshes and rigs accept any affine
+            transform), a number is out of range, or the clip does not exist.
     """
 
     subject: Subject
@@ -225,7 +225,7 @@ class Actor:
 
     @property
     def own_duration(self) -> float:
-        """Duration of one pass of the clip or file sequence at the actor's speed, seconds; 0 if there is none."""
+        """Duration of one pass of the clip or file sequence at the actor's speed, seconds; 0 without, or at speed 0."""
         return self._length() / self.speed if self.speed > 0.0 else 0.0
 
     def _length(self) -> float:

@@ -38,8 +38,9 @@ def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ..
 class CameraPath:
     """A path through K cameras: eye, rotation and focal length follow smooth cubics (Catmull-Rom 1974).
 
-    The camera stands still before the first time and after the last. With ``targets``, the point at which the camera
-    looks follows such a cubic, too, and stays in the centre of the image at all times.
+    Principal point, near plane, aperture, focus distance and exposure are linear between cameras. Up to the first time
+    and from the last one on, the path gives its first and last camera unchanged. With ``targets``, the point at which
+    the camera looks follows such a cubic, too, and between these times stays in the centre of the image.
 
     Raises:
         SceneError: There is no camera, cameras differ in size, model or distortion, one has a rolling shutter, shapes
@@ -119,7 +120,7 @@ class CameraPath:
             fps: Frames per second, above 0.
 
         Raises:
-            SceneError: The rate is out of range, or gives too many frames.
+            SceneError: The rate is out of range, or gives more than 1,000,000 frames.
         """
         if not is_number(fps) or not 0.0 < fps < math.inf:
             raise SceneError(f"fps is {fps}, expected a positive number")
@@ -133,6 +134,8 @@ class CameraPath:
 
     def stretched(self, seconds: float) -> CameraPath:
         """Returns the path with its times scaled and moved, so that it runs from time 0 to ``seconds``.
+
+        A path of one camera gets the time 0.
 
         Raises:
             SceneError: ``seconds`` is not positive.

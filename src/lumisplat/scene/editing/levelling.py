@@ -124,7 +124,7 @@ def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
 
 
 def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussians:
-    """Rotates a capture about its origin so that its up direction becomes a coordinate axis, stored as its ``up``.
+    """Rotates a capture about (0, 0, 0) so that its up direction becomes a coordinate axis, stored as its ``up``.
 
     The axis is the one nearest to the up direction that the capture states. If the capture states none, the axis is y
     down, as in most captures. The first view rotates with the capture.

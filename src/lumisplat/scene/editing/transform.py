@@ -50,7 +50,7 @@ def transform(
     Args:
         gaussians: Capture.
         matrix: ``new_from_old``: rotation, uniform scale and translation, shape (4, 4); None: the identity.
-        scale: Uniform scale about the origin, applied after the matrix, above 0.
+        scale: Uniform scale about the world's origin, applied after the matrix, above 0.
         rotation_degrees: Right-handed rotations about x, then y, then z, applied after the scale.
         translation: Translation, applied last, scene units.
 
@@ -158,13 +158,16 @@ def merge(captures: Iterable[Gaussians]) -> Gaussians:
     """Joins captures in the same coordinates into one, in their order.
 
     SH of lower degree are padded with zeros. Normals and materials are kept if all captures have them; a warning names
-    those that are dropped. The comments are those of the first capture.
+    those that are dropped. The comments are those of the first capture; up and first view are those of the first
+    capture that has them. Antialiased captures can be joined with others only if they are opaque, as Gaussians made
+    from meshes are; the result is then not antialiased, and a warning says so.
 
     Args:
         captures: At least one. Move captures that are in other coordinates by `transform` first.
 
     Raises:
-        SceneError: The list is empty, only some captures are antialiased, or their kernel degrees differ.
+        SceneError: The list is empty; only some captures are antialiased, and these are not all opaque; kernel degrees
+            differ; or the captures are so far apart that float32 holds no common origin.
     """
     sets: list[Gaussians] = []
     for one in items_of("captures", captures):

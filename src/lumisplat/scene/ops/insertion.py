@@ -169,24 +169,28 @@ class Insertion:
 def insert(
     scene: Scene, asset: Mesh | Scene, *, scale: float | None = None, front: str | None = None, name: str = ""
 ) -> Scene:
-    """Inserts a mesh into a scene of captures: upright, on the ground below it, in free space.
+    """Inserts an object into a scene of captures: upright, on the ground below it, in free space.
 
-    The asset's up direction is y, as in most files, or that of the asset's own scene; it is rotated to
-    `Scene.up_direction`. The asset stays at its horizontal coordinates, unless the captures do not reach there or an
-    obstacle stands there; then the asset is moved aside. An asset whose diagonal is below 2 % or above 75 % of the
-    captures' diagonal is assumed to be in other units, and is scaled to a quarter of the captures' diagonal. A log line
-    reports the placement. In a scene without captures the asset stays as it is.
+    The asset's up direction is y, as in most files, or ``up`` of the asset's own scene; it is rotated to
+    `Scene.up_direction`. The asset stays at its horizontal coordinates, unless the captures or their first view do not
+    reach there or an obstacle stands there; then the asset is moved aside. In a first view that shows no ground, the
+    asset stands low in the image, before the view's subject.
+
+    An asset whose diagonal is below 2 % or above 75 % of the captures' diagonal (40 % with a first view) is assumed to
+    be in other units, and is scaled to a quarter of the captures' diagonal. With a first view, the captures' diagonal
+    counts as at most 2.5 times the view's ``focus_distance``. A warning in the log reports the placement. In a scene
+    without captures the asset stays as it is, and ``scale`` and ``front`` have no effect.
 
     Args:
         scene: Scene that receives the asset.
-        asset: A mesh, or the scene of a file with several meshes; its lights move along.
+        asset: A mesh, or the scene of a file with several meshes or captures; its lights move along.
         scale: Scale factor, above 0; None: 1, or a quarter of the captures' size if the units seem to differ.
         front: Axis of the asset, in its y-up coordinates, that faces a viewer in front of the scene: ``"+z"`` (the
             default, as in glTF), ``"-z"``, ``"+x"`` or ``"-x"``.
         name: Name of the asset in the log line; by default the name that the asset stores.
 
     Raises:
-        SceneError: An argument is out of range.
+        SceneError: An argument is out of range, or both scenes have an enabled environment.
     """
     check_argument("insert", scene, Scene, "a Scene", ": ls.Scene([gaussians]) makes one")
     if not isinstance(cast("object", asset), Mesh | Scene):
