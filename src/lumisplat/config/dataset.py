@@ -74,14 +74,16 @@ class DatasetPoses:
     """Range of the camera's azimuth with ``DOME``: angle about the vertical, counter-clockwise from above; 0 is the
     front."""
     elevation: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (5.0, 60.0)
-    """Range of the camera's elevation above the horizon with ``DOME``."""
+    """Range of the camera's elevation above the horizon with ``DOME``, seen from what the camera looks at."""
     distance: Annotated[Span, Range(1e-3, 1e3)] = (1.0, 1.5)
     """Range of distances from the camera to the target with ``DOME``, as factors of the distance at which the whole
-    scene just fits into the image. Below 1, images may cut off parts of the scene."""
+    scene just fits into the image. Below 1, images may cut off parts of the scene. Views that look at an added object
+    have ``object_distance`` instead."""
     height: Annotated[Span, Range(0.0, 1.0)] = (0.2, 0.8)
-    """Range of camera heights with ``INSIDE``, as fractions of the scene's height."""
+    """Range of camera heights with ``INSIDE``, as fractions of the scene's height: 0 is its bottom, 1 its top."""
     pitch: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (-25.0, 10.0)
-    """Range of angles between the viewing direction and the horizon with ``INSIDE``; positive looks up."""
+    """Range of angles between the viewing direction and the horizon with ``INSIDE``; positive looks up. Views that look
+    at an added object ignore this setting."""
     shift: Share = 0.02
     """Largest distance of a view's camera from the given camera that it starts from, with ``CAMERAS``, as a fraction
     of the scene's diagonal.
@@ -91,20 +93,23 @@ class DatasetPoses:
     ``CAMERAS``."""
     aim: Share = 0.1
     """With ``DOME``: size of the box around the scene's centre in which targets of cameras are random, as a fraction of
-    the scene's size along each axis. Views that look at an inserted object ignore this setting."""
+    the scene's size along each axis. Views that look at an added object ignore this setting."""
     roll: Annotated[float, Range(0.0, 180.0, "degrees")] = 0.0
-    """Largest rotation of cameras about their viewing direction."""
+    """Largest rotation of cameras about their viewing direction, to either side."""
     fov: Annotated[Span, Range(1.0, 179.0, "degrees")] = (35.0, 60.0)
     """Range of vertical fields of view."""
     at_objects: Share = 0.5
-    """Fraction of views that look at one of the added objects, if there are any; not with ``CAMERAS``."""
+    """Probability that a camera looks at one of the added objects, if there are any; not with ``CAMERAS``. Cameras from
+    which the object is hidden are drawn again."""
     object_distance: Annotated[Span, Range(1.0, 1e3)] = (3.0, 8.0)
-    """Range of distances between the camera and an added object that it looks at, with ``DOME``, in radii of the
-    object."""
+    """Range of distances between the camera and the centre of an added object that it looks at, with ``DOME``, in radii
+    of the object's bounding sphere."""
     clearance: Share = 0.02
-    """Smallest distance of a camera from surfaces and added objects, as a fraction of the scene's diagonal."""
+    """Smallest distance of a camera from surfaces, along 32 directions, and from the bounding spheres of added objects,
+    as a fraction of the scene's diagonal."""
     seen: Share = 0.1
-    """Smallest fraction of the image that shows a surface; cameras that see less are drawn again."""
+    """Smallest fraction of the image that shows a surface of the scene, without added objects. Cameras that see less
+    are drawn again, up to 200 times; then an error is raised."""
 
     __post_init__ = take_fields
 
@@ -118,29 +123,35 @@ class DatasetLights:
     """
 
     own: bool = True
-    """Keeps the lights of the scene itself beside the random ones; otherwise only the random ones light a view."""
+    """Keeps the lights of the scene itself beside the random ones, except its environment if there are
+    ``environments``; otherwise only the random ones light a view."""
     environments: tuple[str, ...] = given(converter=_file_names, default=())
     """Environment images, .hdr or .exr. Each view has one of them in place of the scene's own environment. In a
     settings file paths are relative to its folder."""
     turned: bool = True
     """Rotates environments, also that of the scene itself, by a random angle about the vertical."""
     brightness: Annotated[Span, Range(1e-6, 1e6)] = (0.5, 2.0)
-    """Range of the factor that multiplies the environment's radiance; the factor's logarithm is uniform."""
+    """Range of the factor that multiplies the radiance of environments, also that of the scene itself but not
+    ``ambient``; the factor's logarithm is uniform."""
     visible: bool = True
     """Shows the images of ``environments`` as background; otherwise they light the scene without being visible."""
     suns: Annotated[WholeSpan, Range(0, 16)] | None = None
-    """Range of the number of suns. None: 1 if the scene has something to light and no other light, else 0."""
+    """Range of the number of suns. None: 1 if there is nothing but suns to light meshes, added ones too, or captures
+    with a material; else 0."""
     sun_elevation: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (15.0, 75.0)
     """Range of the suns' angles above the horizon."""
     sun_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
-    """Range of a sun's illuminance on a surface that faces it: at pi, a white surface is as bright as display white."""
+    """Range of a sun's illuminance on a surface that faces it, before ``tint``: at pi, a white surface is as bright as
+    display white."""
     sun_angle: Annotated[Span, Range(0.0, 90.0, "degrees")] = (0.0, 2.0)
-    """Range of the suns' angular radii; larger suns have softer shadows."""
+    """Range of the suns' angular radii. Larger suns have softer shadows in path-traced frames, and in others with
+    ``RenderConfig.shadows`` ``SOFT``."""
     points: Annotated[WholeSpan, Range(0, 16)] = (0, 0)
-    """Range of the number of point lights, which are above and around the scene, or with ``INSIDE`` in its free space.
-    """
+    """Range of the number of point lights, which are above and around the scene, or with ``INSIDE`` and ``CAMERAS`` in
+    the upper half of its free space."""
     point_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
-    """Range of a point light's illuminance at the centre of the scene; pi makes a white surface display white."""
+    """Range of a point light's illuminance at the centre of the scene, before ``tint``; pi makes a white surface
+    display white. For a light nearer to the centre than a quarter of the scene's diagonal, at that distance instead."""
     ambient: Annotated[Span, Range(0.0, 1e6)] = (0.1, 0.5)
     """Range of the radiance of a constant, invisible environment, in views with suns or point lights and no other
     environment.
@@ -148,7 +159,7 @@ class DatasetLights:
     tint: Share = 0.2
     """Saturation of suns, point lights and constant environments: each colour channel is between 1 minus this and 1."""
     exposure: Annotated[Span, Range(-100.0, 100.0, "stops")] = (0.0, 0.0)
-    """Range of the stops that are added to the exposure of lit images."""
+    """Range of the exposure of lit images; each stop doubles their brightness."""
 
     __post_init__ = take_fields
 
@@ -162,10 +173,11 @@ class DatasetObjects:
     """
 
     files: tuple[str, ...] = given(converter=_file_names, default=())
-    """Captures, meshes and scenes, some of which are added to each view; a file may be listed more than once. In a
-    settings file paths are relative to its folder."""
+    """Captures, meshes and scenes, some of which are added to each view, without the lights of scenes; a file that is
+    listed twice is chosen twice as often. In a settings file paths are relative to its folder."""
     count: Annotated[WholeSpan, Range(0, 1000)] = (1, 3)
-    """Range of the number of objects in a view; objects for which no free space is found are left out."""
+    """Range of the number of objects that are added to a view; objects for which no free space is found are left out.
+    """
     size: Annotated[Span, Range(1e-6, 1e3)] = (0.08, 0.2)
     """Range of the diameter of an object's bounding sphere, as a fraction of the scene's diagonal."""
     own_size: bool = False
@@ -177,8 +189,8 @@ class DatasetObjects:
     unevenness: Share = 0.1
     """Largest height difference of the ground below an object, as a fraction of the object's diameter."""
     shadows: bool = True
-    """Makes the scene's unlit captures shadow catchers in views with lights, so that added objects cast shadows on
-    them."""
+    """Makes the scene's captures without a material shadow catchers in views with lights, so that added objects cast
+    shadows on them."""
 
     __post_init__ = take_fields
 

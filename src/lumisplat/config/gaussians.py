@@ -91,14 +91,16 @@ class RasterConfig:
     """Projection of Gaussians: as ellipses, or along rays for any lens. ``UNSCENTED`` needs the raster or the hybrid
     pipeline, ``SORTED`` and ``ISO``."""
     surface: GaussianSurface = GaussianSurface.ISO
-    """Depth at which the Gaussians of a pixel are lit, in lit frames."""
+    """Depth at which the Gaussians of a pixel are lit, in lit frames. ``MEAN`` applies to relit sets in sorted frames
+    only; all others use ``ISO``."""
     antialiasing: Antialiasing = Antialiasing.AUTO
     """Which Gaussians count as antialiased: their opacities are lowered to make up for the dilation."""
     dilation: Annotated[float, Range(0.0, 10.0, "pixel^2")] = DILATION_PX2
     """Variance added to the projected covariance. With ``UNSCENTED``, it is added to the Gaussian itself, in squared
     pixel widths at its distance."""
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = SH_DEGREE_MAX
-    """Highest SH degree that is evaluated."""
+    """Highest degree of spherical harmonics (SH) that is evaluated; 0 gives every Gaussian the same colour from all
+    sides."""
     transmittance_min: Share = TRANSMITTANCE_MIN
     """Transmittance at which blending in a pixel stops. The Gaussian that would lower the transmittance to this value
     is not blended."""
@@ -173,11 +175,11 @@ class ResponseConfig:
     """
 
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] | None = None
-    """Exponent of the distance in the response: 0 is linear, 2 Gaussian, 5 quintic. None: the degree stored with each
-    capture."""
+    """Exponent of the distance in the response along rays: 0 is linear, 2 Gaussian, 5 quintic. None: the degree stored
+    with each capture. The rasteriser always uses 2."""
     min_response: Annotated[float, Range(0.0, 0.97)] = 0.0
-    """Response at which a Gaussian ends, unless its alpha falls to 1/255 before. NVIDIA uses 0.0113, about the
-    response at three standard deviations."""
+    """Response (with ``adaptive_clamping``, response times opacity) at which rays no longer hit a Gaussian, unless its
+    alpha falls to 1/255 before. NVIDIA uses 0.0113, about the response at three standard deviations."""
     adaptive_clamping: bool = True
     """Ends a Gaussian where response times opacity falls to ``min_response``; otherwise where the response alone does.
     """
@@ -215,9 +217,10 @@ class TraceConfig:
     """
     normal_method: NormalMethod = NormalMethod.PLANE
     """Normal of a single Gaussian that a ray hits. Rasterised Gaussians always use ``PLANE``, in the raster pipeline
-    and at primary hits of the hybrid one."""
+    and at primary hits of the hybrid and real-time ones."""
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = SH_DEGREE_MAX
-    """Highest SH degree that is evaluated."""
+    """Highest degree of spherical harmonics (SH) that is evaluated; 0 gives every Gaussian the same colour from all
+    sides."""
     transmittance_min: Share = TRANSMITTANCE_MIN
     """Transmittance at which a sorted ray ends. The ray loses at most this fraction of the light from behind."""
     depth_iso_transmittance: Share = DEPTH_ISO_TRANSMITTANCE
@@ -225,8 +228,8 @@ class TraceConfig:
     transmittance is lower.
     """
     acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
-    """Factor of the random numbers of ``STOCHASTIC_HIT``. Below 1, Gaussians are accepted sooner: faster, and biased
-    towards opaque (Hu et al. 2025, figure 4)."""
+    """Factor of the random numbers of ``STOCHASTIC_HIT``, and of paths, which hit relit Gaussians in the same way.
+    Below 1, Gaussians are accepted sooner: faster, and biased towards opaque (Hu et al. 2025, figure 4)."""
 
     __post_init__ = take_fields
 
@@ -255,10 +258,11 @@ class ShadowConfig:
     offset_absolute: Annotated[float, Range(0.0, 1e6, "scene units")] = 0.0
     """Distance added to the distance that the factor ``offset`` gives."""
     transmittance_min: Share = TRANSMITTANCE_MIN
-    """Transmittance at which a shadow ray ends early and counts as black. To darken shadows on purpose, raise
-    ``transmittance_threshold``."""
+    """Transmittance at which a shadow ray ends early and counts as black; not read by ``STOCHASTIC``. To darken shadows
+    on purpose, raise ``transmittance_threshold``."""
     transmittance_threshold: Annotated[float, Range(0.0, 0.99)] = 0.0
-    """Transmittance t up to which a shadow is black; larger ones, t..1, are stretched to 0..1. 0 changes nothing."""
+    """Transmittance t up to which a shadow is black; larger ones, t..1, are stretched to 0..1. 0 changes nothing.
+    ``STOCHASTIC`` does not read it."""
     acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
     """Factor of the random numbers of ``STOCHASTIC``. Below 1, Gaussians block a ray with probability alpha divided by
     this factor: faster, and darker than exact (Hu et al. 2025, figure 4)."""
@@ -267,7 +271,7 @@ class ShadowConfig:
     frames of few samples have blotches, which no filter removes."""
     color_strength: Annotated[float, Range(0.0, 5.0)] = 0.0
     """Strength of the tint of partial shadows by the colour of the Gaussians that cast them, like stained glass; 0:
-    grey."""
+    grey, as always with ``STOCHASTIC``."""
 
     __post_init__ = take_fields
 

@@ -62,12 +62,12 @@ class DeepShadowConfig:
     layout: AtlasLayout = AtlasLayout.OCTAHEDRAL
     """Layout of the directions around a point light; a directional light has a planar map instead."""
     resolution: Annotated[int, Range(8, 8192, step=8)] = 2048
-    """Width and height of the square map, texels; the faces of ``CUBEMAP`` share as many texels."""
+    """Width and height of the square map, texels; the six faces of ``CUBEMAP`` have about as many texels together."""
     bins: Annotated[int, Range(1, 4096)] = 256
     """Number of distance bins, K, which are of equal size from 0 to ``max_distance``."""
     max_distance: Length | None = None
-    """Distance from the light at which the last bin ends. None: behind all receivers, or without receivers, behind all
-    casters."""
+    """Distance at which the last bin ends: from a point light or, with a directional light, from a plane in front of
+    the receivers. None: behind all receivers, or without receivers, behind all casters."""
     absorption: Absorption = Absorption.AVERAGE
     """Formula from a Gaussian's opacity to its absorption per length."""
     strength: Annotated[float, Range(0.0, 100.0)] = 1.0
@@ -139,8 +139,8 @@ class DelightConfig:
     the environment."""
     matt: bool = False
     """Assumes that the materials that will relight the capture are matt (``MaterialPbr(specular=0)``), so that all
-    captured colour comes from the albedo. Otherwise the specular reflection of a default `MaterialPbr` is not part of
-    the albedo."""
+    captured colour comes from the albedo, and no roughness is estimated. Otherwise the specular reflection of a default
+    `MaterialPbr` is not part of the albedo."""
     seed: Seed = 0
     """Seed of the rays, and of the random pairs of Gaussians whose albedos are compared."""
 
@@ -159,28 +159,30 @@ class LightEstimationConfig:
     """
 
     radius: Length | None = None
-    """Distance from the character's centre beyond which Gaussians are ignored. None: 1.5 times the extent of the
-    scene."""
+    """Distance from the character's centre beyond which Gaussians are ignored; it also is the extent in the defaults of
+    the other lengths. None: 1.5 times the extent of the scene, the distance within which 98 % of the Gaussians lie."""
     viewpoint_distance: Length | None = None
-    """Distance from the character's centre to four viewpoints around it, from which, as from the centre, the
-    brightness of Gaussians is evaluated. None: a tenth of the scene's extent."""
+    """Distance from the character's centre to four viewpoints around it, from which, as from the centre, the brightness
+    of Gaussians is evaluated. None: a tenth of the extent (see ``radius``)."""
     emitter_size: Length | None = None
     """Largest size of an emitter that counts as compact. Gaussians nearer to the character's centre than this are no
-    lights. None: a twelfth of the scene's extent."""
+    lights. None: a twelfth of the extent (see ``radius``)."""
     separation: Length | None = None
     """Smallest distance between two lights. None: three times ``emitter_size``."""
     compactness: Share = 0.5
-    """Smallest contrast of a light: 1 minus the score (brightness) of the Gaussians around it over its own. At 0,
-    bright walls and windows count as lights, too."""
+    """Smallest contrast of a compact light: 1 minus the score (brightness) of the Gaussians around it over its own.
+    Lights that are not compact, such as bright walls and windows, need twice the ``evidence``, and are no lights where
+    ``evidence`` is 0. At 0, every light counts as compact."""
     weakest: Share = 0.05
     """Smallest score (brightness) of a Gaussian that may be a light, as a fraction of the highest score."""
     evidence: Share = 0.05
     """Smallest fraction of the luminance variance of nearby surfaces, left by a smooth environment and earlier lights,
     that a light explains. Lights that are not above the character, or not compact, must explain twice as much. At 0,
-    anything bright counts as a light, whether or not it lights surfaces."""
+    anything bright and compact counts as a light, whether or not it lights surfaces."""
     irradiance: Annotated[float, Range(1e-6, 1e6)] = math.pi
     """Irradiance that the estimated lights together give a surface at the character's centre that faces each of them.
-    With pi, white paper is display white."""
+    With pi, white paper is display white. An `AvatarLighter` ignores it: its lights give the fraction ``direct`` of the
+    light that it measures there."""
 
     __post_init__ = take_fields
 
@@ -194,7 +196,7 @@ class AvatarLightingConfig:
     """
 
     shadows: bool = True
-    """Casts shadows of actors onto the captured scene."""
+    """Casts shadows of actors and of the scene's meshes onto the captured scene."""
     shadow_map: DeepShadowConfig = field(default_factory=DeepShadowConfig)
     """Settings of the deep shadow map of each light."""
     direct: Share = 0.7
@@ -209,7 +211,7 @@ class AvatarLightingConfig:
     transfer: RelightConfig = field(default_factory=RelightConfig)
     """Settings of the transfer of a light probe's radiance to actors."""
     light_count: Annotated[int, Range(1, 64)] = 3
-    """Number of lights that are estimated if none are given."""
+    """Largest number of lights that are estimated if none are given. Where no light is found, one sun is estimated."""
     estimation: LightEstimationConfig = field(default_factory=LightEstimationConfig)
     """Settings of the estimated lights."""
 

@@ -111,7 +111,8 @@ class RadianceCacheConfig:
     """Rays over which a cell's indirect light is averaged. With fewer, light of many bounces arrives sooner; screen
     probes average the remaining noise."""
     samples_min: Annotated[int, Range(1, 1024)] = 8
-    """Smallest number of samples from which a cell's own mean is used; with fewer, a mean over several cells is."""
+    """Smallest number of samples, at most ``history``, from which a cell's own mean is used; with fewer, a mean over
+    several cells is."""
     bounces: Annotated[int, Range(128, 2**20)] = 8192
     """Number of rays per frame from cells of the cache, which find their indirect light: one per cell, or up to 16 if
     there are few cells."""
@@ -134,12 +135,13 @@ class RealtimeConfig:
     light_interval: Annotated[int, Range(1, 2)] = 1
     """Number of frames in which each pixel gets one sample of direct and of indirect light. With 2, each frame samples
     every other block of 4 x 4 pixels. Where ``filter.passes`` is below 2, 1 is used, as newly visible surfaces would be
-    black."""
+    black; otherwise direct light uses 2 where captures act as lights."""
     highlight_rays: bool = True
     """Traces a ray for every four pixels of narrow highlights; otherwise highlights show the blurred radiance of
-    probes."""
+    probes. Needs ``max_bounces`` above 0, as all indirect light."""
     antialiasing: bool = True
-    """Averages pixels over frames with changing sample positions, which smooths edges."""
+    """Averages pixels of lit frames over frames with changing sample positions, which smooths edges; not with
+    ``RenderConfig.jitter`` off."""
     filter: FilterConfig = field(default_factory=FilterConfig)
     """Settings of the denoising filters."""
     probes: ProbeConfig = field(default_factory=ProbeConfig)

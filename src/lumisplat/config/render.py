@@ -136,8 +136,9 @@ class RenderConfig:
     pipeline: Pipeline = Pipeline.RASTER
     """Algorithm that finds visible surfaces and computes their light."""
     background: Color | None = given(converter=DisplayColor(), default=(0.0, 0.0, 0.0))
-    """Display-referred sRGB colour behind the scene; None makes the frame transparent. Also accepts ``"#ff8800"``,
-    names such as ``"white"``, and ``"transparent"``."""
+    """Display-referred sRGB colour behind the scene, unless a visible environment is there; None makes the frame
+    transparent, also in front of an environment. Also accepts ``"#ff8800"``, names such as ``"white"``, and
+    ``"transparent"``."""
     raster: RasterConfig = field(default_factory=RasterConfig)
     """Settings of the rasteriser."""
     trace: TraceConfig = field(default_factory=TraceConfig)
@@ -154,7 +155,7 @@ class RenderConfig:
     the headlight. With None, rays of ``trace_rays`` have no headlight; they are lit if the scene has lights or, with
     ``PATH``, emits light."""
     shadows: Shadows = Shadows.HARD
-    """Shadows of lights in lit frames."""
+    """Shadows of lights in lit frames. Path-traced and real-time frames use ``SOFT`` in place of ``HARD``."""
     shadow_rays: ShadowConfig = field(default_factory=ShadowConfig)
     """Settings of shadow rays."""
     tone_map: ToneMap = ToneMap.NONE
@@ -163,12 +164,15 @@ class RenderConfig:
     """Further layers of the frame. Lit frames have ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
     ``variance``, ``sample_count`` and ``shadow_ratio``; unlit frames have ``hits``, ``variance`` and ``sample_count``.
     Path-traced frames have ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``, ``indirect_glossy`` and
-    ``bounces`` in place of ``reflection``. Real-time frames have all of these but ``bounces``, and ``motion``,
-    ``history``, ``probes``, ``cache`` and ``cache_cells``. A text with commas becomes a tuple."""
+    ``bounces`` in place of ``reflection``. Real-time frames have all of these but ``reflection``, ``lights``,
+    ``variance``, ``sample_count`` and ``bounces``, and also ``motion``, ``history``, ``probes``, ``cache`` and
+    ``cache_cells``. A text with commas becomes a tuple."""
     samples: Annotated[int, Range(1, SAMPLES_MAX)] | None = None
-    """Samples a pixel, whose mean is the frame. None: 64 for paths; 16 for an environment, or for soft shadows of
-    lights that have a size; 8 for an environment on captures alone; else 1. An unlit, sorted raster frame is exact with
-    one sample and takes no more, except with ``UNSCENTED``, which samples antialias."""
+    """Samples a pixel, whose mean is the frame; real-time frames always have 1. None: as many as ``time_limit`` or
+    ``noise`` need, if given. Otherwise 64 for lit path-traced frames; 16 for an environment, soft shadows of lights
+    that have a size, ``glossy_reflections``, or translucent meshes in raster frames; 8 for an environment or
+    ``glossy_reflections`` on captures alone; else 1. An unlit, sorted raster frame is exact with one sample and takes
+    no more, except with ``UNSCENTED``, which samples antialias."""
     time_limit: Annotated[float, Range(0.0, unit="seconds", above=True)] | None = None
     """Time for the samples of a frame, which takes at least one. ``samples`` limits their number, too, unless None.
     None: no limit."""
@@ -180,9 +184,10 @@ class RenderConfig:
     """Gives noisy pixels more samples than others, at most ``samples``, from the 17th sample on. Trace and path
     pipelines only. None: if ``noise`` is given."""
     glossy_reflections: bool | None = None
-    """Lets rough metals and glossy surfaces reflect the scene in lit trace and hybrid frames; otherwise they reflect
-    lights and the environment only. Each sample traces one ray from the first surface, and several samples average its
-    noise. None: if the scene has a rough metal and another object. Paths always reflect the scene."""
+    """Lets rough metals and glossy surfaces reflect the scene in lit trace and hybrid frames, unless ``max_bounces`` is
+    0; otherwise they reflect lights and the environment only. Each sample traces one ray from the first surface, and
+    several samples average its noise. None: if the scene has a rough metal and another object. Path-traced and
+    real-time frames do not read it: there, such surfaces always reflect the scene."""
     capture_gain: Annotated[float, Range(-CAPTURE_GAIN_MAX, CAPTURE_GAIN_MAX, "stops")] = 0.0
     """Brightening of the light that captures cast onto other surfaces, as captured light sources are clipped at
     display white. Captures themselves stay as they are, in mirrors as well. Applies where captures light surfaces: in
@@ -193,13 +198,16 @@ class RenderConfig:
     in glTF's own viewer: white metal of roughness 1 then reflects half of the light."""
     jitter: bool = True
     """Spreads samples after the first over their pixel, which antialiases; the first goes through its centre. Applies
-    in all pipelines wherever ``samples`` does."""
+    in all pipelines wherever ``samples`` does. In scenes with captures that keep their captured colours, only meshes
+    are jittered unless ``samples``, ``noise`` or ``time_limit`` is given. In real time, frames are jittered with
+    ``realtime.antialiasing``."""
     seed: Seed = 0
     """Seed of all random numbers: the same seed gives the same image."""
     max_bounces: Annotated[int, Range(0, 64)] | None = None
-    """Bounces of a ray at most. Trace and hybrid pipelines count reflections and refractions, behind which a ray sees
-    the background. The path pipeline counts bounces of any kind, where 0 is direct light, and the real-time pipeline
-    counts bounces off smooth surfaces. None: 8 in the path pipeline, else 3."""
+    """Bounces of a ray at most. Trace and hybrid pipelines count reflections, refractions and passes through
+    translucent meshes, behind which a ray sees the background. The path pipeline counts bounces of any kind, where 0 is
+    direct light. The real-time pipeline counts bounces off smooth surfaces; 0 also switches off its indirect light.
+    None: 8 in the path pipeline, else 3."""
 
     __post_init__ = take_fields
 

@@ -36,7 +36,8 @@ class LearningRates:
     """
 
     means: Rate = 1.6e-4
-    """Learning rate of the Gaussians' means in the first step, as a fraction of the extent of the cameras."""
+    """Learning rate of the Gaussians' means in the first step, as a fraction of the cameras' extent: 1.1 times the
+    largest distance of a camera from their mean position."""
     means_last: Rate = 1.6e-6
     """Learning rate of the means in the last step, as a fraction of the cameras' extent; it decays exponentially."""
     rotations: Share = 1e-3
@@ -46,7 +47,8 @@ class LearningRates:
     logits: Share = 5e-2
     """Learning rate of the opacities' logits."""
     sh: Share = 2.5e-3
-    """Learning rate of SH coefficients of degree 0; those of higher degrees have a twentieth of it."""
+    """Learning rate of spherical-harmonics (SH) coefficients of degree 0; those of higher degrees have a twentieth of
+    it."""
     exposures: Rate = 1e-2
     """Learning rate of the images' exposures (colour matrices) in the first step."""
     exposures_last: Rate = 1e-3
@@ -73,11 +75,12 @@ class TrainConfig:
     cap: Annotated[int, Range(1, 100_000_000)] = 100_000
     """Largest number of Gaussians."""
     sh_degree: Annotated[int, Range(0, 3)] = 3
-    """SH degree of colours. Training starts with degree 0 and adds a degree after each twelfth of the iterations."""
+    """Degree of the spherical harmonics (SH) of colours. Training starts with degree 0 and adds a degree after each
+    twelfth of the iterations."""
     densification: Densification = Densification.MCMC
     """Method that adds and removes Gaussians."""
     initial: Annotated[int, Range(1, 100_000_000)] = 10_000
-    """Number of random Gaussians to start with, if the images come without points."""
+    """Number of random Gaussians to start with, at most ``cap``, if the images come without points."""
     ssim: Share = 0.2
     """Weight of the SSIM term in the loss; the rest is L1."""
     random_background: bool = False
@@ -86,33 +89,36 @@ class TrainConfig:
     alpha: Annotated[float, Range(0.0, 10.0)] = 0.1
     """Weight in the loss of the mean absolute error of alpha, for images that have alpha."""
     mask_entropy: Annotated[float, Range(0.0, 10.0)] = 0.0
-    """Weight of the cross entropy between rendered and image alpha, which makes covered pixels opaque and others clear
-    (R3DG uses 0.1)."""
+    """Weight of the cross entropy between rendered and image alpha, for images that have alpha, which makes covered
+    pixels opaque and others clear (R3DG uses 0.1)."""
     opacity_decay: Annotated[float, Range(0.0, 10.0)] = 0.01
     """Weight of the mean opacity in the loss of MCMC, so that unneeded Gaussians fade."""
     scale_decay: Annotated[float, Range(0.0, 10.0)] = 0.01
     """Weight of the mean scale in the loss of MCMC, so that unneeded Gaussians shrink."""
     flatness: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Weight of the mean smallest scale of visible Gaussians, in scene extents, which makes Gaussians flat (PGSR)."""
+    """Weight of the smallest scale of visible Gaussians, summed and divided by the number of all Gaussians, in extents
+    of the cameras (see ``rates.means``), which makes Gaussians flat (PGSR)."""
     normals: Annotated[float, Range(0.0, 1000.0)] = 0.0
     """Weight of 1 minus the cosine between Gaussian normals and normals of the rendered depth, which aligns Gaussians
-    with surfaces (2DGS)."""
+    with surfaces (2DGS). Counts from 23 % of the iterations on."""
     depth_spread: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Weight of the standard deviation of depth along rays, in scene extents, which makes surfaces thin (R3DG).
-    Deviations above 0.1 count less and less, as they come from floaters without a surface."""
+    """Weight of the standard deviation of depth along rays, in extents of the cameras (see ``rates.means``), which
+    makes surfaces thin (R3DG). Deviations above 0.1 count less and less, as they come from floaters without a surface.
+    Counts from 23 % of the iterations on."""
     normal_smoothness: Annotated[float, Range(0.0, 1000.0)] = 0.0
     """Weight of the differences between normals of neighbouring pixels, where the image has no edge (R3DG uses 0.01).
-    """
+    Counts from 23 % of the iterations on."""
     grow_pull: Share = 8e-4
-    """Mean gradient of the loss with respect to a splat's image position, in half image widths, above which adaptive
-    densification clones or splits the Gaussian. Magnitudes are averaged, so that opposite gradients do not cancel
-    (AbsGS)."""
+    """Mean gradient of the loss with respect to a splat's image position, in halves of the image's width and height,
+    above which adaptive densification clones or splits the Gaussian. Magnitudes are averaged, so that opposite
+    gradients do not cancel (AbsGS)."""
     grow_turn: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Mean gradient of the surface terms with respect to a Gaussian's normal, summed over pixels, above which adaptive
-    densification also clones or splits the Gaussian (R3DG uses 0.004). 0 disables this criterion."""
+    """Mean gradient of the terms ``normals`` and ``normal_smoothness`` with respect to a Gaussian's normal, summed over
+    pixels, above which adaptive densification also clones or splits the Gaussian (R3DG uses 0.004). 0 disables this
+    criterion."""
     coarse: Annotated[int, Range(0, 4)] = 0
-    """Number of times that the image size is halved at the start; all smaller sizes together take a quarter of the
-    iterations."""
+    """Number of times that the width and height of images are halved at the start; all smaller sizes together take a
+    quarter of the iterations."""
     pipeline: Annotated[Pipeline, OneOf(tuple(one for one in Pipeline if one.is_differentiable))] = Pipeline.RASTER
     """Renderer of the training: ``RASTER``, or ``TRACE``, whose gradients of rays take several times longer and which
     needs MCMC."""
@@ -122,15 +128,16 @@ class TrainConfig:
     """Exponent p of the distance d in the response, exp(-c d^p): 2 is Gaussian, 5 quintic; 0 is a linear response.
     Other degrees than 2 need ``TRACE``."""
     prune_below: Share = 0.01
-    """Blending weight that a Gaussian must reach in at least one pixel of one image; all other Gaussians are removed
-    at the end. If no Gaussian reaches it, all remain."""
+    """Blending weight that a Gaussian must reach in at least one pixel of one training image; all other Gaussians are
+    removed at the end. If no Gaussian reaches it, all remain."""
     antialiased: bool = False
-    """Compensates opacities for the dilation by a pixel's width (Mip-Splatting)."""
+    """Trains antialiased Gaussians: ``RASTER`` compensates opacities for the dilation by a pixel's width
+    (Mip-Splatting), and ``TRACE`` does not dilate."""
     exposures: bool = False
     """Optimises an exposure for each image, an affine map of its colours (Kerbl et al. 2023, code). Held-out images
     are evaluated without one."""
     refine_poses: bool = False
-    """Optimises the camera poses of the images, too."""
+    """Optimises the camera poses of the images, too, from a tenth of the iterations on."""
     rates: LearningRates = LearningRates()
     """Learning rates of the parameters."""
     seed: Seed = 0
