@@ -225,8 +225,7 @@ class TraceConfig:
     """Transmittance at which a sorted ray ends. The ray loses at most this fraction of the light from behind."""
     depth_iso_transmittance: Share = DEPTH_ISO_TRANSMITTANCE
     """Transmittance at the surface: depth, normal and index are those of the first Gaussian behind which the
-    transmittance is lower.
-    """
+    transmittance is lower, or with ``STOCHASTIC_HIT`` always those of the accepted Gaussian."""
     acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
     """Factor of the random numbers of ``STOCHASTIC_HIT``, and of paths, which hit relit Gaussians in the same way.
     Below 1, Gaussians are accepted sooner: faster, and biased towards opaque (Hu et al. 2025, figure 4)."""
@@ -261,8 +260,8 @@ class ShadowConfig:
     """Transmittance at which a shadow ray ends early and counts as black; not read by ``STOCHASTIC``. To darken shadows
     on purpose, raise ``transmittance_threshold``."""
     transmittance_threshold: Annotated[float, Range(0.0, 0.99)] = 0.0
-    """Transmittance t up to which a shadow is black; larger ones, t..1, are stretched to 0..1. 0 changes nothing.
-    ``STOCHASTIC`` does not read it."""
+    """Transmittance t up to which a shadow is black; larger ones are stretched from t to 1 onto 0 to 1. 0 changes
+    nothing. ``STOCHASTIC`` does not read it."""
     acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
     """Factor of the random numbers of ``STOCHASTIC``. Below 1, Gaussians block a ray with probability alpha divided by
     this factor: faster, and darker than exact (Hu et al. 2025, figure 4)."""
