@@ -54,7 +54,10 @@ then encodes its pixels on the host."""
 
 
 class Frame(FrameData):
-    """Rendered images of one camera, all of shape (H, W, ...)."""
+    """Rendered images of one camera, all of shape (H, W, ...).
+
+    Depth, normals and indices are those of the first sample; colours, alpha and radiance are means over samples.
+    """
 
     __slots__ = ("_unread",)
 

@@ -50,7 +50,10 @@ class LitParts(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameData:
-    """Images of one camera, all of shape (H, W, ...); the subclass `Frame` adds display and saving."""
+    """Images of one camera, all of shape (H, W, ...); the subclass `Frame` adds display and saving.
+
+    Depth, normals and indices are those of the first sample; colours, alpha and radiance are means over samples.
+    """
 
     color: FloatArray
     """Radiance in ``color_space``, composited over the background, (H, W, 3). A lit frame's colour is ``captured``

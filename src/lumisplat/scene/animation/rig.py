@@ -336,7 +336,7 @@ class Rig:
             clip: Name of the clip; None: the first.
 
         Raises:
-            SceneError: The rig has no clip of that name; the message lists the clips.
+            SceneError: The rig has no clips, or none of that name; the message lists the clips.
         """
         found = self._clip(clip)
         if found is None:
@@ -357,7 +357,7 @@ class Rig:
         return found[0]
 
     def poses(self, time: float, clip: str | None = None) -> tuple[Mesh, ...]:
-        """Returns the meshes at a time of a clip, with normals.
+        """Returns the meshes at a time of a clip, with normals if the file has them.
 
         Args:
             time: Seconds; the pose is constant before the first key and after the last one.

@@ -90,11 +90,11 @@ class _Cloud:
 def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
     """Estimates the up direction of a scene of captures.
 
-    The ground is the plane that contains most of the visible weight (opacity times area). Little weight lies below the
+    The ground is the plane that contains the most visible weight (opacity times area). Little weight lies below the
     ground, much weight stands on it, and part of the space above it is free. The plane is found by random sample
     consensus (Fischler and Bolles 1981), then least squares. If the scene or a capture states an up direction, the
-    ground's normal is at most 50 degrees off; a guessed up direction only decides between equally good planes. Without
-    a ground, a stated direction is returned.
+    ground's normal is at most 50 degrees off; a guessed up direction counts for less: it raises the score of a plane
+    by up to a factor of two. Without a ground, a stated direction is returned.
 
     Without a ground and a stated direction, `Scene.up_direction` is a guess. Up is then the principal axis nearest to
     the guess. Only axes along which the scene is clearly longer or shorter than along the two others are considered; a
@@ -107,7 +107,8 @@ def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
             them.
 
     Raises:
-        SceneError: There is no capture, the points are collinear, or there is no evidence.
+        SceneError: There is no capture; the points are fewer than three, or collinear; or there are neither a ground
+            nor a stated direction nor an axis along which the scene is clearly longer or shorter.
     """
     check_argument("find_up", scene, Scene, "a Scene", ": ls.Scene([gaussians]) makes one")
     if not scene.splats:

@@ -247,7 +247,8 @@ def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = Normal
     """Estimates unit outward normals of an object captured from outside.
 
     First an axis is found for each Gaussian. Of the axis's two directions, the one is chosen that points to the free
-    space connected to the outside (see `_outward_signs`). For a room captured from within, outside is behind its walls.
+    space connected to the outside. For a room captured from within, outside is behind its walls. Where both sides are
+    equally open, as at a single sheet, normals are turned to one common side.
 
     Args:
         gaussians: N Gaussians; more opaque ones have more weight.

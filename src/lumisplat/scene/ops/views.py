@@ -352,8 +352,8 @@ def orbit_cameras(
     Args:
         scene: Scene to orbit; its `Scene.up_direction` is the axis.
         count: Number of cameras, at least 1.
-        camera: First camera; None: a view from the front, at a distance from which the scene fits all the way round,
-            see `frame_camera`.
+        camera: First camera; None: `frame_camera` with ``all_around``, that is, the scene's first view, or else a view
+            from the front at a distance from which the scene fits all the way round.
         turns: Number of revolutions, counter-clockwise seen from above; negative: clockwise.
         target: World position on the axis, shape (3,); None: the point at which the scene's first view looks, or the
             centre of the visible scene without a first view.
