@@ -212,8 +212,9 @@ class DatasetConfig:
     height: Annotated[int, Range(1, 65536, "pixels")] = 480
     """Height of images."""
     layers: tuple[str, ...] = given(converter=_checked_layers, default=("depth", "normal", "instance"))
-    """Layers beside the images: some of ``depth``, ``normal``, ``albedo``, ``alpha``, ``mask``, ``instance``,
-    ``category`` and ``exr``, as a list or a text with commas."""
+    """Layers beside the images: some of ``depth``, ``normal``, ``albedo``, ``alpha``, ``mask`` (alpha of at least a
+    half), ``instance`` (number of the object), ``category`` and ``exr`` (linear colour, depth and normals in one file),
+    as a list or a text with commas."""
     split: tuple[float, float, float] = given(converter=_checked_split, default=(0.8, 0.1, 0.1))
     """Fractions of the views for training, validation and test, scaled to a sum of 1. A view stays in its subset when
     the number of views changes."""

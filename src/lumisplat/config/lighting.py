@@ -135,8 +135,8 @@ class DelightConfig:
     cells: Annotated[int, Range(4, 32)] = 12
     """Cells along each side of the map of directions in which the light at each Gaussian is traced."""
     inside: bool | None = None
-    """Treats the capture as taken from its inside, like a room. None: only if a large part of the capture does not see
-    the environment."""
+    """Treats the capture as taken from its inside, like a room. None: only if more than a tenth of the Gaussians do not
+    see the environment from either side."""
     matt: bool = False
     """Assumes that the materials that will relight the capture are matt (``MaterialPbr(specular=0)``), so that all
     captured colour comes from the albedo, and no roughness is estimated. Otherwise the specular reflection of a default

@@ -82,7 +82,7 @@ class TrainConfig:
     initial: Annotated[int, Range(1, 100_000_000)] = 10_000
     """Number of random Gaussians to start with, at most ``cap``, if the images come without points."""
     ssim: Share = 0.2
-    """Weight of the SSIM term in the loss; the rest is L1."""
+    """Weight of 1 minus the structural similarity (SSIM) in the loss; the rest is the mean absolute error (L1)."""
     random_background: bool = False
     """Composites images with transparency, and their renders, over a new random colour in each step. Gaussians then
     neither fill transparent regions with the background's colour nor leave them undefined."""
@@ -92,9 +92,9 @@ class TrainConfig:
     """Weight of the cross entropy between rendered and image alpha, for images that have alpha, which makes covered
     pixels opaque and others clear (R3DG uses 0.1)."""
     opacity_decay: Annotated[float, Range(0.0, 10.0)] = 0.01
-    """Weight of the mean opacity in the loss of MCMC, so that unneeded Gaussians fade."""
+    """Weight of the mean opacity in the loss, so that unneeded Gaussians fade; not with adaptive ``densification``."""
     scale_decay: Annotated[float, Range(0.0, 10.0)] = 0.01
-    """Weight of the mean scale in the loss of MCMC, so that unneeded Gaussians shrink."""
+    """Weight of the mean scale in the loss, so that unneeded Gaussians shrink; not with adaptive ``densification``."""
     flatness: Annotated[float, Range(0.0, 1000.0)] = 0.0
     """Weight of the smallest scale of visible Gaussians, summed and divided by the number of all Gaussians, in extents
     of the cameras (see ``rates.means``), which makes Gaussians flat (PGSR)."""
