@@ -13,6 +13,9 @@ from support.files.cli_files import Workspace
 from support.files.small_disks import small_disk
 from support.scenes.path_scenes import ball, diffuse
 
+DELIGHT = "delight @ball.ply -o @out.ply --cells 4 --device cpu --save-environment".split()
+"""Command that lacks only the path of the environment image."""
+
 
 @pytest.fixture
 def work(tmp_path, capsys, monkeypatch) -> Workspace:
@@ -36,20 +39,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 
 def test_delight_gives_a_capture_albedo_roughness_and_normals(work):
     """The Gaussians stay the same; remarks name guesses, and the environment is written as an image."""
-    done = work.run(
-        "delight",
-        "@ball.ply",
-        "-o",
-        "@out.ply",
-        "--cells",
-        "4",
-        "--save-environment",
-        "@sky.exr",
-        "--device",
-        "cpu",
-        "--up",
-        "y-up",
-    )
+    done = work.run(*DELIGHT, "@sky.exr", "--up", "y-up")
     assert (done.status, done.err) == (0, "")
     assert "700 Gaussians with albedo, roughness and normals" in done.out
     assert "environment, whose brightness is a guess" in done.out
@@ -89,18 +79,7 @@ def test_delight_writes_no_environment_image_for_a_room(work, monkeypatch):
 def test_delight_reports_a_full_disk_for_the_environment_in_one_line(work):
     """The line has the system's reason; no partial image is left, and the capture is written."""
     with small_disk(work.path("disk"), "4k") as disk:
-        done = work.run(
-            "delight",
-            "@ball.ply",
-            "-o",
-            "@out.ply",
-            "--cells",
-            "4",
-            "--save-environment",
-            str(disk / "sky.exr"),
-            "--device",
-            "cpu",
-        )
+        done = work.run(*DELIGHT, str(disk / "sky.exr"))
         assert done.status == 2 and done.out == ""
         assert done.err.splitlines() == [
             f"error: {disk / 'sky.exr'}: cannot be written: No space left on device ({work.path('out.ply')} is written)"

@@ -131,16 +131,21 @@ def test_slow_renders_of_cameras_and_animations_are_announced(work, monkeypatch,
     assert "1 frame left" in animated and "(--frames)" in animated
 
 
+def report_at(monkeypatch: pytest.MonkeyPatch, reports: list[tuple[float, str, float]]) -> None:
+    """Reports progress at clock times: each report has the time in seconds, a label and the fraction done."""
+    clock = [0.0]
+    monkeypatch.setattr("lumisplat.cli.output.console.time.monotonic", lambda: clock[0])
+    with progress_bars() as report:
+        for clock[0], label, fraction in reports:
+            report(label, fraction)
+
+
 def test_progress_without_a_terminal_prints_a_line_each_minute(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A log file thus shows progress; shorter work prints no line."""
-    clock = [0.0]
-    monkeypatch.setattr("lumisplat.cli.output.console.time.monotonic", lambda: clock[0])
-    with progress_bars() as report:
-        for seconds in (1.0, 59.0, 61.0, 80.0, 119.0, 122.0, 200.0):
-            clock[0] = seconds
-            report(f"training, {seconds:.0f} dB", 1.0 if seconds == 200.0 else seconds / 200.0)
+    times = (1.0, 59.0, 61.0, 80.0, 119.0, 122.0, 200.0)
+    report_at(monkeypatch, [(seconds, f"training, {seconds:.0f} dB", seconds / 200.0) for seconds in times])
     lines = capsys.readouterr().err.splitlines()
     assert lines == ["training, 61 dB: 30%, 2 min left", "training, 122 dB: 61%, 78 s left"]
 
@@ -149,12 +154,9 @@ def test_progress_estimates_no_remaining_time_before_its_pace_is_known(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The first percent contains preparation, such as compilation."""
-    clock = [0.0]
-    monkeypatch.setattr("lumisplat.cli.output.console.time.monotonic", lambda: clock[0])
-    with progress_bars() as report:
-        for seconds, fraction in ((1.0, 0.0), (61.5, 0.01), (123.0, 0.5)):
-            clock[0] = seconds
-            report("delighting", fraction)
+    report_at(
+        monkeypatch, [(seconds, "delighting", done) for seconds, done in ((1.0, 0.0), (61.5, 0.01), (123.0, 0.5))]
+    )
     assert capsys.readouterr().err.splitlines() == ["delighting: 1%", "delighting: 50%, 2 min left"]
 
 

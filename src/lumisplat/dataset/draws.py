@@ -15,7 +15,7 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 class Purpose(IntEnum):
-    """What random numbers of a view are for, such as its pose; part of the seed of `Draws`.
+    """Purpose of a view's random numbers, such as its pose; part of the seed of `Draws`.
 
     Each purpose has a separate stream, so that a setting for one purpose does not change the numbers of another.
     """

@@ -57,7 +57,7 @@ _NOT_IN_PROVENANCE = ("output", "resume", "overwrite", "frames", "tiles", "debug
 
 @dataclass(frozen=True)
 class _ImageJob:
-    """What is needed to render the images of one command: scene, cameras, renderer and writer."""
+    """Scene, cameras, renderer and writer of the images of one command."""
 
     scene: ls.Scene
     shots: list[Shot]

@@ -118,7 +118,7 @@ def run_farm(command: FarmCommand, *, overwrite: bool, video: Path | None) -> No
 
 @dataclass
 class _Task:
-    """What a worker is doing: loading the scene, or making a frame."""
+    """Task of a worker: loading the scene, or making a frame."""
 
     worker: Any
     frame: int | None

@@ -35,7 +35,7 @@ class FrameList:
     """For each frame that is merged from others, such as sample blocks: the numbers of the frames that must exist
     first."""
     unit: str = "frame"
-    """What messages call a frame, such as ``view``."""
+    """Word for a frame in messages, such as ``view``."""
     resume_hint: str = "without --overwrite"
     """How a command line with --overwrite must be changed so that it continues an interrupted run; part of messages."""
 

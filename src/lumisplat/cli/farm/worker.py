@@ -20,7 +20,7 @@ THREADS_VARIABLE = "LUMISPLAT_THREADS"
 
 @dataclass(frozen=True)
 class Order:
-    """What the driver sends to each new worker: the command, the working folder and options."""
+    """Message from the driver to each new worker: the command, the working folder and options."""
 
     command: FrameMaker
     """Command whose frames the worker makes."""

@@ -63,7 +63,7 @@ FORMER_OPTIONS = {
     "--split-samples": "--tiles samples",
     "--warm-up": "--samples {}",
 }
-"""What to type now for each option that was renamed or merged with another, by former option."""
+"""Present form of each option that was renamed or merged with another, by former option."""
 
 _SYNONYMS = {
     "--cpu": "--device cpu",
@@ -76,7 +76,7 @@ _SYNONYMS = {
     "--sky": "--environment",
     "--outdir": "--output",
 }
-"""What to type here for options that other renderers have, such as ``--device cpu`` for ``--cpu``."""
+"""Equivalents of options that other renderers have, such as ``--device cpu`` for ``--cpu``."""
 
 _OPTION = re.compile(r"--[A-Za-z][\w.-]*")
 _SIMILARITY = 0.7

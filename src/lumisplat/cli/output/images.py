@@ -148,7 +148,7 @@ scale."""
 
 @dataclass(frozen=True)
 class Layers:
-    """What ``--aov`` asks to write besides the colour: image layers, Cryptomatte mattes and deep samples."""
+    """Layers that ``--aov`` asks to write besides the colour: image layers, Cryptomatte mattes and deep samples."""
 
     names: tuple[str, ...]
     """Image layers that are written from AOVs of the frame, such as ``depth``; without ``cryptomatte`` and ``deep``."""

@@ -56,7 +56,7 @@ class LobeRays:
 
 @struct
 class BouncedRays:
-    """What secondary rays of real-time rendering find: emitted radiance, and one light sample at each hit surface."""
+    """Emitted radiance that secondary rays of real-time rendering hit, and one light sample at each hit surface."""
 
     emitted: wp.array[wp.vec3]
     """Linear radiance of captured colours and of mesh emission that is not sampled as a light."""

@@ -255,7 +255,7 @@ class ShadingSettings:
     background: wp.vec3
     """Display-referred sRGB colour behind the scene; black if the frame has a transparent background."""
     camera_sees: int
-    """What camera rays that hit nothing show: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING (transparent)."""
+    """Result of a camera ray that hits nothing: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING (transparent)."""
     light_count: int
     absorbs: int
     """1: some mesh contains a medium that absorbs light, so that transmittance must be computed along rays."""

@@ -224,7 +224,7 @@ def _unit_range(plane: Plane) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _FolderContents:
-    """What a folder of training images lists: images to train with, held-out images and a point cloud."""
+    """Images to train with, held-out images and point cloud that a folder of training images lists."""
 
     file: Path
     """The ``transforms.json``, or the folder of the COLMAP model, that lists the images."""

@@ -68,7 +68,7 @@ class UpEstimate:
     up: Vector
     """Unit vector that points up, world space."""
     source: Literal["ground", "points", "axes", "stated"]
-    """What ``up`` is based on: ``ground`` plane, given ``points``, principal ``axes`` of the capture, or ``stated``,
+    """Evidence of ``up``: ``ground`` plane, given ``points``, principal ``axes`` of the capture, or ``stated``,
     the direction that the scene or a capture stores."""
     height: float | None = None
     """Coordinate along ``up`` of the ground, or of the given points' mean, scene units; None without a ground."""
