@@ -91,6 +91,16 @@ def write_region(page: Path, region: str, lines: Sequence[str]) -> None:
     page.write_text("\n".join([before + start(region), *lines, END]) + rest, encoding="utf-8")
 
 
+def replace_rows(page: Path, region: str, figures: Sequence[tuple[Row, Origin]]) -> None:
+    """Replaces the rows of a region that show the same on the same machine, adds new ones, and keeps all others."""
+    before = regions(page)[region]
+    cells = [[cell.strip() for cell in text.strip("|").split("|")] for text in before[2:]]
+    lines = {(row[0], row[4]): text for row, text in zip(cells, before[2:], strict=True)}
+    for row, origin in figures:
+        lines[row.what, origin.machine] = line((*astuple(row), *astuple(origin)))
+    write_region(page, region, [*before[:2], *lines.values()])
+
+
 def regions(page: Path) -> dict[str, list[str]]:
     """Returns the lines of each region of a page, without the comments."""
     found = re.findall(rf"<!-- written: ([\w. ]+) -->\n(.*?)\n{END}", page.read_text(encoding="utf-8"), re.DOTALL)

@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 from bench import page, timing
 from bench.__main__ import benchmarks
-from bench.first_light.__main__ import Row as StepRow, gsplat_rows
-from bench.first_light.worker import Finding
+from bench.gpu.report import Row as StepRow, write_page as write_gpu_page
+from bench.gpu.times import beside
+from bench.gpu.worker import Finding
 from bench.presets import LIGHT, RASTER, TRACE
 from bench.report import Results, write_page
 
@@ -71,7 +72,7 @@ def test_bench_command_prints_times_of_the_stages_of_gpu_frames(
 def test_every_documented_benchmark_is_listed_with_its_run_time() -> None:
     """The list is that of ``python -m bench``."""
     listed = benchmarks()
-    assert {"bench.run", "bench.first_light", "bench.realtime_truth.bias"} <= listed.keys()
+    assert {"bench.run", "bench.gpu", "bench.realtime_truth.bias"} <= listed.keys()
     assert not [name for name, line in listed.items() if not re.search(r"\(.*(second|minute)s?\b.*\)\.$", line)]
     for path in [*(BENCH.parent / "docs").rglob("*.md"), BENCH.parent / "CONTRIBUTING.md"]:
         text = " ".join(path.read_text().split())  # lines may end within a command
@@ -143,17 +144,27 @@ def test_writing_to_a_benchmark_page_without_the_tables_marker_is_refused(tmp_pa
         page.write_region(tmp_path / "page.md", "raster", [])
 
 
-def test_first_light_benchmark_has_table_rows_of_gsplat_and_lumisplat() -> None:
-    """Frames take all stages of Lumisplat, gradients those of the backward pass."""
-    frames = [Finding("10: gsplat on the device, ms", 2.0), Finding("10: our stages but sync and download, ms", 1.0)]
-    stages = {"composite": 9.0, "backward: pixels": 1.5, "backward: Gaussians": 0.5}
-    gradients = [Finding("10: gsplat's frame and derivatives, ms", [7.0, 1.0]), Finding("10: our stages, ms", stages)]
-    rows = gsplat_rows([StepRow("frames", "ok", findings=frames), StepRow("gradients", "ok", findings=gradients)], 320)
-    assert rows == [
-        page.Row("frame, 10 Gaussians, 320 x 180", "**1.00 ms**", "gsplat 2.00 ms", "**2.0** times as fast"),
-        page.Row("backward pass, 10 Gaussians, 320 x 180", "**2.00 ms**", "gsplat 1.00 ms", "**0.50** times as fast"),
-    ]
-    assert gsplat_rows([StepRow("frames", "skipped")], 320) == []
+def test_gpu_report_replaces_only_rows_that_it_measured_on_the_same_gpu(tmp_path: Path) -> None:
+    """A row is known by what it shows and by its machine; rehearsals on a CPU write nothing."""
+    copy = Path(shutil.copy(page.GPU_PAGE, tmp_path / "benchmarks_gpu.md"))
+    before = page.regions(copy)["gsplat"]
+    what = "frame, 1,000,000 Gaussians, 1920 x 1080"
+    assert any(line.startswith(f"| {what} |") and "| NVIDIA H200 |" in line for line in before)
+
+    def report(device: str, machine: str, ours: float) -> list[StepRow]:
+        findings = [Finding("ours, ms", ours, figure=beside(what, ours, 2.0)), Finding("others", 3.0)]
+        return [StepRow("beside gsplat", "ok", 1.0, findings, "", {"device": device}, machine, "2027-01-02")]
+
+    assert write_gpu_page(report("cpu", "NVIDIA H200", 1.0), copy) == []
+    assert page.regions(copy)["gsplat"] == before
+    assert write_gpu_page(report("cuda:0", "NVIDIA H200", 1.0), copy) == [what]
+    assert write_gpu_page(report("cuda:0", "RTX", 4.0), copy) == [what]
+    after = page.regions(copy)["gsplat"]
+    assert len(after) == len(before) + 1 and after[3:-1] == before[3:]
+    command = '`python -m bench.gpu --device cuda --steps "beside gsplat"`'
+    cells = f"**1.00 ms** | gsplat 2.00 ms | **2.0** times as fast | NVIDIA H200 | 2027-01-02 | {command} |"
+    assert after[2] == f"| {what} | {cells}"
+    assert after[-1].startswith(f"| {what} | **4.00 ms** | gsplat 2.00 ms | **0.50** times as fast | RTX |")
 
 
 def test_links_to_benchmark_pages_lead_to_their_headings() -> None:

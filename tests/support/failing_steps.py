@@ -1,4 +1,4 @@
-"""Steps for the tests of `bench.first_light`, one for each way in which a step can end."""
+"""Steps for the tests of `bench.gpu`, one for each way in which a step can end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Iterator
 
-from bench.first_light.worker import Finding, Setting
+from bench.gpu.worker import Finding, Setting
 
 
 def passes(setting: Setting) -> Iterator[Finding]:

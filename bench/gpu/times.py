@@ -1,4 +1,4 @@
-"""Timing steps of `bench.first_light`: stages of large frames, sorts, copies, and frames beside gsplat."""
+"""Timing steps of `bench.gpu`: large frames, sorts, copies, and frames beside gsplat."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import numpy as np
 import warp as wp
 
 import lumisplat as ls
-from bench.first_light.worker import Finding, Setting
+from bench.gpu.worker import Finding, Setting
+from bench.page import times_as_fast
 from bench.presets import Preset, synthetic
 from bench.timing import TimedRenderer
 from lumisplat.runtime.buffers import DeviceArray
@@ -159,8 +160,15 @@ def turns_with_gsplat(setting: Setting, count: int, torch: Any, rasterization: A
     drawing = sum(ms for stage, ms in timed.stage_ms.items() if stage not in ("sync", "download"))
     yield Finding(f"{count:,}: gsplat on the device, ms", round(statistics.median(theirs[WARM:]), 2))
     yield Finding(f"{count:,}: ours with download, ms", round(statistics.median(walls[WARM:]), 2))
-    yield Finding(f"{count:,}: our stages but sync and download, ms", round(drawing, 2))
+    what = f"frame, {count:,} Gaussians, {camera.width} x {camera.height}"
+    figure = beside(what, drawing, statistics.median(theirs[WARM:]))
+    yield Finding(f"{count:,}: our stages but sync and download, ms", round(drawing, 2), figure=figure)
     yield Finding(f"{count:,}: PSNR, dB", round(float(-10.0 * np.log10(error)), 1))
+
+
+def beside(what: str, ours: float, theirs: float) -> tuple[str, ...]:
+    """Returns the page's row of our time beside gsplat's, milliseconds."""
+    return "gsplat", what, f"**{ours:.2f} ms**", f"gsplat {theirs:.2f} ms", times_as_fast(ours, theirs)
 
 
 def gsplat_draw(

@@ -1,4 +1,4 @@
-"""Correctness steps of `bench.first_light`: frames, rays and shadows of a device against the CPU's."""
+"""Correctness steps of `bench.gpu`: frames, rays and shadows of a device against the CPU's."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 import lumisplat as ls
-from bench.first_light.worker import Finding, Setting
+from bench.gpu.worker import Finding, Setting
 from lumisplat.demo.shapes import sphere
 from lumisplat.io.images.texture import to_bytes
 from lumisplat.runtime.buffers import Buffers, DeviceArray

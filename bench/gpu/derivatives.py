@@ -1,4 +1,4 @@
-"""Gradient steps of `bench.first_light`: against the CPU and beside gsplat; and times of training."""
+"""Gradient steps of `bench.gpu`: against the CPU and beside gsplat; and times of training."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 import lumisplat as ls
-from bench.first_light.times import columns, rounded, view
-from bench.first_light.worker import Finding, Setting
+from bench.gpu.times import beside, columns, rounded, view
+from bench.gpu.worker import Finding, Setting
 from bench.presets import synthetic
 from bench.training import stages_of
 from support.scenes import raster_scenes
@@ -109,7 +109,9 @@ def _turns(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iter
     ours, found = _ours(setting, ls.Scene([gaussians]), camera, pixel_weights)
     forward, backward = (statistics.median(row[k] for row in theirs[WARM:]) for k in (0, 1))
     yield Finding(f"{count:,}: gsplat's frame and derivatives, ms", [round(forward, 2), round(backward, 2)])
-    yield Finding(f"{count:,}: our stages, ms", rounded(ours))
+    backward_ms = sum(ms for stage, ms in ours.items() if stage.startswith("backward"))
+    figure = beside(f"backward pass, {count:,} Gaussians, {camera.width} x {camera.height}", backward_ms, backward)
+    yield Finding(f"{count:,}: our stages, ms", rounded(ours), figure=figure)
     alike = np.corrcoef(found.means.ravel(), leaves["means"].grad.cpu().numpy().ravel())[0, 1]
     yield Finding(f"{count:,}: correlation of derivatives by means", round(float(alike), 5))
 

@@ -1,1 +1,0 @@
-"""Checks and times everything once on a new device."""

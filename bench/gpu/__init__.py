@@ -1,0 +1,1 @@
+"""Checks a GPU, measures everything on it, and compares variants of kernels."""

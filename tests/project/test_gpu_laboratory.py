@@ -1,0 +1,79 @@
+"""The laboratory of GPUs: a failing step does not stop other steps, and the report is written."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from bench import ROOT
+from bench.gpu.__main__ import SLICES
+from bench.gpu.report import Step, read_report, run_steps
+from bench.gpu.worker import Setting
+
+NAMES = ("raises", "dies", "hangs", "finds", "skips", "passes")
+
+
+def test_gpu_laboratory_continues_after_a_step_fails_crashes_or_hangs(tmp_path: Path) -> None:
+    """An error, a crash or a hang loses only later results of the same step."""
+    steps = [Step(name, f"support.failing_steps:{name}", 4.0 if name == "hangs" else 60.0) for name in NAMES]
+    rows = run_steps(steps, Setting("cpu", [10], 32), tmp_path, 200.0)
+    stored = [json.loads(line) for line in (tmp_path / "gpu.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in stored] == [row.step for row in rows] == [*NAMES]
+    status = {row.step: row.status for row in rows}
+    expected = {"raises": "failed", "dies": "failed", "hangs": "timed out", "finds": "wrong", "skips": "skipped"}
+    assert status == {**expected, "passes": "ok"}
+    for row in rows[:3]:
+        assert [finding.name for finding in row.findings] == ["before"], "findings before the failure are kept"
+    assert "the context is poisoned" in rows[0].problem
+    text = (tmp_path / "gpu.md").read_text()
+    assert "| hangs | timed out |" in text and "- **wrong** a pixel: [1.0, 2.0]" in text
+
+
+def test_gpu_laboratory_skips_steps_that_exceed_the_time_budget(tmp_path: Path) -> None:
+    """The step needs 60 s, but the budget is 1 s."""
+    steps = [Step("late", "support.failing_steps:passes", 60.0)]
+    (row,) = run_steps(steps, Setting("cpu", [10], 32), tmp_path, 1.0)
+    assert (row.status, row.problem) == ("skipped", "no time")
+
+
+def test_gpu_laboratory_runs_the_same_steps_on_a_cpu_as_on_a_gpu(tmp_path: Path) -> None:
+    """The run rehearses the command on a machine without a GPU."""
+    command = [sys.executable, "-m", "bench.gpu", "--device", "cpu", "--out", str(tmp_path), "--every", "16"]
+    done = subprocess.run(
+        [*command, "--steps", "machine", "small raster frames", "sorts, times", "--sizes", "1000"],
+        cwd=ROOT,
+        env={"PATH": "", "PYTHONPATH": f"{ROOT}:{ROOT}/src", "HOME": str(Path.home())},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [json.loads(line) for line in (tmp_path / "gpu.jsonl").read_text().splitlines()]
+    assert [(row["step"], row["status"]) for row in rows] == [
+        ("machine", "ok"),
+        ("small raster frames", "ok"),
+        ("sorts, times", "ok"),
+    ]
+
+
+def test_every_step_of_the_gpu_laboratory_is_an_existing_function() -> None:
+    """Names of steps are unique, because they are options of the command."""
+    import importlib
+
+    steps = [step for part in SLICES.values() for step in part]
+    assert len({step.name for step in steps}) == len(steps)
+    for step in steps:
+        module, function, *_ = step.work.split(":")
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_gpu_laboratory_keeps_the_steps_of_earlier_runs_in_its_report(tmp_path: Path) -> None:
+    """A step that runs again replaces its own result only."""
+    setting = Setting("cpu", [10], 32)
+    steps = {name: Step(name, f"support.failing_steps:{name}", 60.0) for name in ("finds", "passes")}
+    run_steps([steps["finds"], steps["passes"]], setting, tmp_path, 200.0)
+    run_steps([replace(steps["finds"], work="support.failing_steps:skips")], setting, tmp_path, 200.0)
+    assert [(row.step, row.status) for row in read_report(tmp_path)] == [("passes", "ok"), ("finds", "skipped")]
