@@ -138,14 +138,20 @@ class BoxTree:
 
         return split
 
-    def by_code(self, codes: DeviceArray) -> Split:
-        """Returns the function that splits a level's nodes on CUDA: by digits of their items' sorted Morton codes."""
+    def by_code(self, codes: DeviceArray, boxes: DeviceArray, items: DeviceArray) -> Split:
+        """Returns the function that splits a level's nodes on CUDA: large ones by digits of their items' Morton codes.
+
+        All arguments are in the order of the codes. Small nodes are split by surface area heuristic; for these, the
+        function reorders ``boxes`` and ``items``.
+        """
 
         def split(level: Level) -> None:
             self._launcher.run_banded(
                 kernels.split_by_code,
                 level.nodes,
-                *(level.first, level.begins, level.ends, codes, level.edges, level.inner),
+                *(level.first, int(level.depth < TREE_SURFACE_LEVELS), level.begins, level.ends),
+                *(codes, boxes, items, level.edges, level.inner),
+                bands=SPLIT_BANDS,
             )
 
         return split
@@ -196,7 +202,8 @@ class HostBoxTree(BoxTree):
         if launcher.is_parallel:
             self.order, codes = coded_order(lows, highs, counts)
             self.items.assign(self.order)
-            split = self.by_code(scratch.upload("codes", wp.int32, codes))
+            boxes = upload_boxes(scratch, lows[self.order], highs[self.order])
+            split = self.by_code(scratch.upload("codes", wp.int32, codes), boxes, self.items)
         else:
             split = self.by_area(upload_boxes(scratch, lows, highs), self.items)
         self.link(scratch, counts, split)

@@ -14,7 +14,13 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 SAH_BINS = 16
 """Number of bins per axis. The build tries to split a node at the edges of the bins (Wald 2007)."""
 
+MORTON_ITEMS_MIN = 256
+"""Number of items above which CUDA splits a node by Morton codes, and up to which by the surface area heuristic.
+
+Rays visit as many nodes of such a tree as if all nodes were split by the heuristic; with 64, a tenth more."""
+
 WIDTH = wp.constant(NODE_WIDTH)
+AREA_ITEMS = wp.constant(MORTON_ITEMS_MIN)
 BINS = wp.constant(SAH_BINS)
 
 BinFloats = wp.types.vector(length=3 * SAH_BINS, dtype=wp.float32)
@@ -156,26 +162,12 @@ def range_area(boxes: wp.array[Box], begin: int, end: int) -> float:
     return half_area(low, high)
 
 
-@wp.kernel
-def split_by_area(
-    start: int,
-    node_first: int,
-    by_area: int,
-    begins: wp.array[int],
-    ends: wp.array[int],
-    boxes_inout: wp.array[Box],
-    items_inout: wp.array[int],
-    edges_out: wp.array[Edges],
-    inner_counts_out: wp.array[int],
-):
-    """Per node of a level: splits its items into up to eight children; the child of largest area is split next.
+@wp.func
+def edges_by_area(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, by_area: int) -> Edges:
+    """Splits a range of items into up to eight children, and returns the first item of each; `split_by_area` has more.
 
-    ``edges_out`` holds the first item of each child. Each split minimises the surface area heuristic. If ``by_area`` is
-    0, the child with the most items is split in the middle instead.
+    ``boxes`` and ``items`` are reordered child by child.
     """
-    node = start + wp.tid()
-    begin = begins[node_first + node]
-    end = ends[node_first + node]
     edges = Edges(end)
     edges[0] = begin
     used = int(1)
@@ -198,7 +190,7 @@ def split_by_area(
                 break
             middle = int((edges[largest] + edges[largest + 1]) // 2)
             if by_area != 0:
-                middle = split_range(boxes_inout, items_inout, edges[largest], edges[largest + 1])
+                middle = split_range(boxes, items, edges[largest], edges[largest + 1])
             for move in range(used - largest):
                 edges[used + 1 - move] = edges[used - move]
                 areas[wp.min(used - move, WIDTH - 1)] = areas[used - 1 - move]
@@ -206,15 +198,43 @@ def split_by_area(
             areas[largest] = float(middle - edges[largest])
             areas[largest + 1] = float(edges[largest + 2] - middle)
             if by_area != 0:
-                areas[largest] = range_area(boxes_inout, edges[largest], middle)
-                areas[largest + 1] = range_area(boxes_inout, middle, edges[largest + 2])
+                areas[largest] = range_area(boxes, edges[largest], middle)
+                areas[largest + 1] = range_area(boxes, middle, edges[largest + 2])
             used += 1
+    return edges
+
+
+@wp.func
+def inner_children(edges: Edges) -> int:
+    """Returns how many children of a node have more than one item."""
     inner = int(0)
-    for c in range(used):
+    for c in range(WIDTH):
         if edges[c + 1] - edges[c] > 1:
             inner += 1
+    return inner
+
+
+@wp.kernel
+def split_by_area(
+    start: int,
+    node_first: int,
+    by_area: int,
+    begins: wp.array[int],
+    ends: wp.array[int],
+    boxes_inout: wp.array[Box],
+    items_inout: wp.array[int],
+    edges_out: wp.array[Edges],
+    inner_counts_out: wp.array[int],
+):
+    """Per node of a level: splits its items into up to eight children; the child of largest area is split next.
+
+    ``edges_out`` holds the first item of each child. Each split minimises the surface area heuristic. If ``by_area`` is
+    0, the child with the most items is split in the middle instead.
+    """
+    node = start + wp.tid()
+    edges = edges_by_area(boxes_inout, items_inout, begins[node_first + node], ends[node_first + node], by_area)
     edges_out[node] = edges
-    inner_counts_out[node] = inner
+    inner_counts_out[node] = inner_children(edges)
 
 
 @wp.func
@@ -234,42 +254,53 @@ def first_with_digit(codes: wp.array[int], begin: int, end: int, shift: int, dig
     return low
 
 
-@wp.kernel
-def split_by_code(
-    start: int,
-    node_first: int,
-    begins: wp.array[int],
-    ends: wp.array[int],
-    codes: wp.array[int],
-    edges_out: wp.array[Edges],
-    inner_counts_out: wp.array[int],
-):
-    """Per node of a level: splits its items by the first octal digit in which their Morton codes differ (Karras 2012).
+@wp.func
+def edges_by_code(codes: wp.array[int], begin: int, end: int) -> Edges:
+    """Splits a range of items by the first octal digit in which their Morton codes differ (Karras 2012).
 
     One octal digit is three levels of a binary radix tree. Items with equal codes are distributed evenly.
     """
-    node = start + wp.tid()
-    begin = begins[node_first + node]
-    end = ends[node_first + node]
     edges = Edges(end)
     differ = codes[begin] ^ codes[end - 1]
     shift = int(-3)
     while differ != 0:
         differ = differ >> 3
         shift += 3
-    inner = int(0)
     for c in range(WIDTH):
-        if end - begin <= WIDTH:
-            edges[c] = wp.min(begin + c, end)
-        elif shift < 0:
+        if shift < 0:
             edges[c] = begin + (end - begin) // WIDTH * c + wp.min(c, (end - begin) % WIDTH)
         else:
             edges[c] = first_with_digit(codes, begin, end, shift, c)
-    for c in range(WIDTH):
-        if edges[c + 1] - edges[c] > 1:
-            inner += 1
+    return edges
+
+
+@wp.kernel
+def split_by_code(
+    start: int,
+    node_first: int,
+    by_area: int,
+    begins: wp.array[int],
+    ends: wp.array[int],
+    codes: wp.array[int],
+    boxes_inout: wp.array[Box],
+    items_inout: wp.array[int],
+    edges_out: wp.array[Edges],
+    inner_counts_out: wp.array[int],
+):
+    """Per node of a level: splits its items by Morton code, or as ``split_by_area`` if it has at most AREA_ITEMS.
+
+    Large nodes are split without reading their items, small ones by many threads at a time.
+    """
+    node = start + wp.tid()
+    begin = begins[node_first + node]
+    end = ends[node_first + node]
+    edges = Edges()
+    if end - begin <= AREA_ITEMS:
+        edges = edges_by_area(boxes_inout, items_inout, begin, end, by_area)
+    else:
+        edges = edges_by_code(codes, begin, end)
     edges_out[node] = edges
-    inner_counts_out[node] = inner
+    inner_counts_out[node] = inner_children(edges)
 
 
 @wp.kernel

@@ -72,10 +72,8 @@ class GaussianBvh(BoxTree):
         """Diagonal of a box around nearly all means, without outliers, object-space units."""
 
     def _split_by_area(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Split:
-        boxes = scratch.get("boxes", Box, count)
-        self._launcher.run_banded(kernels.box_gaussians, count, self._kernel, gaussians, boxes)
         self._items.assign(np.arange(count, dtype=np.int32))
-        return self.by_area(boxes, self._items)
+        return self.by_area(self._boxes_of_items(scratch, gaussians, count), self._items)
 
     def _split_by_code(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Split:
         codes, items = (
@@ -86,7 +84,12 @@ class GaussianBvh(BoxTree):
         self._launcher.run_banded(kernels.code_gaussians, count, wp.vec3(low), per_cell, gaussians, codes, items)
         sort_pairs(codes, items, count)
         copy_elements(items, self._items, count)
-        return self.by_code(codes)
+        return self.by_code(codes, self._boxes_of_items(scratch, gaussians, count), self._items)
+
+    def _boxes_of_items(self, scratch: Buffers, gaussians: GaussianData, count: int) -> DeviceArray:
+        boxes = scratch.get("boxes", Box, count)
+        self._launcher.run_banded(kernels.box_gaussians, count, self._kernel, gaussians, self._items, boxes)
+        return boxes
 
     def _fit(self, gaussians: GaussianData) -> None:
         count = len(gaussians.means)

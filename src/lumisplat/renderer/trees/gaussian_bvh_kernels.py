@@ -15,10 +15,12 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
 @wp.kernel
-def box_gaussians(start: int, kernel: KernelData, gaussians: GaussianData, boxes_out: wp.array[Box]):
-    """Per Gaussian of an asset: writes the tight box around the points where the Gaussian's response is not cut off."""
+def box_gaussians(
+    start: int, kernel: KernelData, gaussians: GaussianData, items: wp.array[int], boxes_out: wp.array[Box]
+):
+    """Per Gaussian in ``items``: writes the tight box around the points where its response is not cut off."""
     i = start + wp.tid()
-    boxes_out[i] = particle_box(kernel, gaussians, i)
+    boxes_out[i] = particle_box(kernel, gaussians, items[i])
 
 
 @wp.kernel
