@@ -42,6 +42,6 @@ def probe_push_children(
     i = wp.tid()
     top = tops[i]
     found = ChildLinks()
-    leaf_counts[i] = push_children(stacks[i], top, found, nodes[i], instances[i], entries[i], reach, order)
+    leaf_counts[i] = push_children(stacks[i], top, found, nodes[i].link, instances[i], entries[i], reach, order)
     tops[i] = top
     leaves[i] = found

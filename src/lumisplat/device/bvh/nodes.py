@@ -82,12 +82,68 @@ def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> S
 
 
 @wp.func
-def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
-    """Returns, for each child box, a lower bound of the distance at which a ray of the packet is inside the box.
+def enter_child(low: wp.vec3, high: wp.vec3, slabs: Slabs, begin: float) -> float:
+    """Returns a lower bound of the distance at which a ray of the packet is inside a child's box.
 
     The bound is 2 FAR if no ray enters the box, or if all rays leave the box before ``begin``. It is -FAR if rays may
-    start inside, because slabs do not bound the space behind the origins. The loop over the children becomes vector
-    instructions; for this reason each side of the boxes is a local vector.
+    start inside, because slabs do not bound the space behind the origins.
+    """
+    ax = high[0] - slabs.low[0]
+    bx = slabs.high[0] - low[0]
+    ay = high[1] - slabs.low[1]
+    by = slabs.high[1] - low[1]
+    az = high[2] - slabs.low[2]
+    bz = slabs.high[2] - low[2]
+    far = lesser(
+        ax * slabs.up_far[0] + slabs.up_far_void[0],
+        bx * slabs.down_far[0] + slabs.down_far_void[0],
+    )
+    far = lesser(far, ay * slabs.up_far[1] + slabs.up_far_void[1])
+    far = lesser(far, by * slabs.down_far[1] + slabs.down_far_void[1])
+    far = lesser(far, az * slabs.up_far[2] + slabs.up_far_void[2])
+    far = lesser(far, bz * slabs.down_far[2] + slabs.down_far_void[2])
+    near = larger(
+        ax * slabs.up_near[0] + slabs.up_near_void[0],
+        bx * slabs.down_near[0] + slabs.down_near_void[0],
+    )
+    near = larger(near, ay * slabs.up_near[1] + slabs.up_near_void[1])
+    near = larger(near, by * slabs.down_near[1] + slabs.down_near_void[1])
+    near = larger(near, az * slabs.up_near[2] + slabs.up_near_void[2])
+    near = larger(near, bz * slabs.down_near[2] + slabs.down_near_void[2])
+    near = near - MARGIN * wp.abs(near)
+    far = far + MARGIN * wp.abs(far)
+    entry = wp.where(near > 0.0, near, -FAR)
+    return wp.where(lesser(far - near, far - begin) >= 0.0, entry, 2.0 * FAR)
+
+
+@wp.func
+def mean_entry(low: wp.vec3, high: wp.vec3, slabs: Slabs, entry: float, begin: float, end: float) -> float:
+    """Returns a lower bound of the distances at which Gaussians' means in a child's box project onto a ray.
+
+    ``entry`` is the distance at which rays enter the box. The bound is 2 FAR if no ray enters the box before ``end``,
+    or if all means in the box project before ``begin``.
+    """
+    ax = low[0] - slabs.high[0]
+    bx = high[0] - slabs.low[0]
+    ay = low[1] - slabs.high[1]
+    by = high[1] - slabs.low[1]
+    az = low[2] - slabs.high[2]
+    bz = high[2] - slabs.low[2]
+    x = least_product(ax, bx, slabs.slow[0], slabs.fast[0])
+    y = least_product(ay, by, slabs.slow[1], slabs.fast[1])
+    z = least_product(az, bz, slabs.slow[2], slabs.fast[2])
+    farthest = -least_product(ax, bx, -slabs.fast[0], -slabs.slow[0])
+    farthest = farthest - least_product(ay, by, -slabs.fast[1], -slabs.slow[1])
+    farthest = farthest - least_product(az, bz, -slabs.fast[2], -slabs.slow[2])
+    margin = MARGIN * (wp.abs(x) + wp.abs(y) + wp.abs(z) + wp.abs(farthest))
+    return wp.where(lesser(end - entry, farthest + margin - begin) >= 0.0, x + y + z - margin, 2.0 * FAR)
+
+
+@wp.func
+def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
+    """Returns ``enter_child`` of each child box.
+
+    The loop over the children becomes vector instructions; for this reason each side of the boxes is a local vector.
     """
     entries = Children()
     low_x = node.low_x
@@ -97,42 +153,15 @@ def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
     high_y = node.high_y
     high_z = node.high_z
     for c in range(WIDTH):
-        ax = high_x[c] - slabs.low[0]
-        bx = slabs.high[0] - low_x[c]
-        ay = high_y[c] - slabs.low[1]
-        by = slabs.high[1] - low_y[c]
-        az = high_z[c] - slabs.low[2]
-        bz = slabs.high[2] - low_z[c]
-        far = lesser(
-            ax * slabs.up_far[0] + slabs.up_far_void[0],
-            bx * slabs.down_far[0] + slabs.down_far_void[0],
-        )
-        far = lesser(far, ay * slabs.up_far[1] + slabs.up_far_void[1])
-        far = lesser(far, by * slabs.down_far[1] + slabs.down_far_void[1])
-        far = lesser(far, az * slabs.up_far[2] + slabs.up_far_void[2])
-        far = lesser(far, bz * slabs.down_far[2] + slabs.down_far_void[2])
-        near = larger(
-            ax * slabs.up_near[0] + slabs.up_near_void[0],
-            bx * slabs.down_near[0] + slabs.down_near_void[0],
-        )
-        near = larger(near, ay * slabs.up_near[1] + slabs.up_near_void[1])
-        near = larger(near, by * slabs.down_near[1] + slabs.down_near_void[1])
-        near = larger(near, az * slabs.up_near[2] + slabs.up_near_void[2])
-        near = larger(near, bz * slabs.down_near[2] + slabs.down_near_void[2])
-        near = near - MARGIN * wp.abs(near)
-        far = far + MARGIN * wp.abs(far)
-        entry = wp.where(near > 0.0, near, -FAR)
-        entries[c] = wp.where(lesser(far - near, far - begin) >= 0.0, entry, 2.0 * FAR)
+        low = wp.vec3(low_x[c], low_y[c], low_z[c])
+        high = wp.vec3(high_x[c], high_y[c], high_z[c])
+        entries[c] = enter_child(low, high, slabs, begin)
     return entries
 
 
 @wp.func
 def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end: float) -> Children:
-    """Returns, for each child box, a lower bound of the distances at which Gaussians' means in it project onto a ray.
-
-    ``entries`` are the distances at which rays enter the boxes. The bound is 2 FAR if no ray enters the box before
-    ``end``, or if all means in the box project before ``begin``.
-    """
+    """Returns ``mean_entry`` of each child box, which the packet enters at ``entries``."""
     low_x = node.low_x
     low_y = node.low_y
     low_z = node.low_z
@@ -140,20 +169,9 @@ def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end:
     high_y = node.high_y
     high_z = node.high_z
     for c in range(WIDTH):
-        ax = low_x[c] - slabs.high[0]
-        bx = high_x[c] - slabs.low[0]
-        ay = low_y[c] - slabs.high[1]
-        by = high_y[c] - slabs.low[1]
-        az = low_z[c] - slabs.high[2]
-        bz = high_z[c] - slabs.low[2]
-        x = least_product(ax, bx, slabs.slow[0], slabs.fast[0])
-        y = least_product(ay, by, slabs.slow[1], slabs.fast[1])
-        z = least_product(az, bz, slabs.slow[2], slabs.fast[2])
-        farthest = -least_product(ax, bx, -slabs.fast[0], -slabs.slow[0])
-        farthest = farthest - least_product(ay, by, -slabs.fast[1], -slabs.slow[1])
-        farthest = farthest - least_product(az, bz, -slabs.fast[2], -slabs.slow[2])
-        margin = MARGIN * (wp.abs(x) + wp.abs(y) + wp.abs(z) + wp.abs(farthest))
-        entries[c] = wp.where(lesser(end - entries[c], farthest + margin - begin) >= 0.0, x + y + z - margin, 2.0 * FAR)
+        low = wp.vec3(low_x[c], low_y[c], low_z[c])
+        high = wp.vec3(high_x[c], high_y[c], high_z[c])
+        entries[c] = mean_entry(low, high, slabs, entries[c], begin, end)
     return entries
 
 

@@ -12,12 +12,14 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS, NODE_WIDTH
 from lumisplat.device.bvh.nodes import (
+    enter_child,
     enter_children,
     footprint_of_ray,
     footprint_slope,
     larger,
     lesser,
     mean_entries,
+    mean_entry,
     slabs_around,
 )
 from lumisplat.device.math.memory import aligned_load_of, storage_of
@@ -111,10 +113,11 @@ def insert_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], hit: Hit):
 # numbers that are reduced over the group here, so that all of them take the same branches. A thread on its own has
 # group 0, as all threads on CPUs.
 
-GROUP_MIN = 8
+GROUP_MIN = NODE_WIDTH
 """CUDA threads with coherent rays traverse the BVH together only in groups of at least this many.
 
-The threads of a smaller group visit more additional nodes than the group saves by sharing."""
+The threads of a smaller group visit more additional nodes than the group saves by sharing; and a group needs a thread
+for each child of a node."""
 
 
 def _on_cuda(code: str, otherwise: str) -> str:
@@ -193,6 +196,47 @@ def least_vector(group: int, numbers: wp.vec3) -> wp.vec3:
     return -largest_vector(group, -numbers)
 
 
+# All threads of a group have the same bounds, and would test the children of a node alike. So each tests one child.
+_READ_CHILD = """
+const unsigned before = (1u << (threadIdx.x & 31)) - 1u;
+const int child = __popc(group & before) % WIDTH;
+const auto* node = static_cast<decltype(nodes.data)>(__builtin_assume_aligned(nodes.data + link, 16));
+const float* planes = reinterpret_cast<const float*>(node) + child;
+for (int k = 0; k < 3; ++k) {
+    low[k] = planes[WIDTH * k];
+    high[k] = planes[WIDTH * (k + 3)];
+}
+links = node->link;
+"""
+
+_SHARE_ENTRIES = """
+unsigned rest = group;
+for (int child = 0; child < WIDTH; ++child) {
+    entries[child] = __shfl_sync(group, entry, __ffs(rest) - 1);
+    rest &= rest - 1;
+}
+"""
+
+
+@wp.func_native(_on_cuda(_READ_CHILD.replace("WIDTH", str(NODE_WIDTH)), ""))
+def read_child(
+    nodes: wp.array[Node],
+    link: int,
+    group: int,
+    low: wp.ref[wp.vec3],
+    high: wp.ref[wp.vec3],
+    links: wp.ref[ChildLinks],
+):
+    """Reads the corners of that child's box of node ``link`` which this thread of a group tests, and all links."""
+    ...
+
+
+@wp.func_native(_on_cuda(_SHARE_ENTRIES.replace("WIDTH", str(NODE_WIDTH)), ""))
+def share_entries(group: int, entry: float, entries: wp.ref[Children]):
+    """Collects the entry distances of a node's eight children; the threads of a group give those that they tested."""
+    ...
+
+
 # --- The traversal stack of a packet, with the next node on top ---
 
 WIDTH = wp.constant(NODE_WIDTH)
@@ -241,7 +285,7 @@ def push_children(
     stack: wp.array[WaitingNode],
     top: wp.ref[int],
     leaves: wp.ref[ChildLinks],
-    node: Node,
+    links: ChildLinks,
     instance: int,
     entries: Children,
     reach: float,
@@ -255,7 +299,6 @@ def push_children(
     Returns:
         The number of leaves.
     """
-    links = node.link
     base = int(top)
     leaf_count = int(0)
     for c in range(WIDTH):
@@ -310,6 +353,53 @@ PACKET_OPTIONS = {
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
 
 load_node = aligned_load_of(Node)
+
+
+@wp.func
+def child_entries(
+    nodes: wp.array[Node],
+    link: int,
+    links: wp.ref[ChildLinks],
+    slabs: Slabs,
+    begin: float,
+    hit_distance: int,
+    end: float,
+) -> Children:
+    """Returns the distances at which a packet enters the children of node ``link``, and writes their ``links``."""
+    node = Node()
+    load_node(nodes, link, node)
+    links = node.link
+    is_by_mean = hit_distance == HIT_MEAN
+    entries = enter_children(node, slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
+    if is_by_mean:
+        entries = mean_entries(node, slabs, entries, begin, end)
+    return entries
+
+
+@wp.func
+def child_entries_by_group(
+    nodes: wp.array[Node],
+    link: int,
+    links: wp.ref[ChildLinks],
+    slabs: Slabs,
+    group: int,
+    begin: float,
+    hit_distance: int,
+    end: float,
+) -> Children:
+    """Returns the same as ``child_entries``; the threads of a group, if there is one, test one child each."""
+    if group == 0:
+        return child_entries(nodes, link, links, slabs, begin, hit_distance, end)
+    low = wp.vec3()
+    high = wp.vec3()
+    entries = Children()
+    read_child(nodes, link, group, low, high, links)
+    is_by_mean = hit_distance == HIT_MEAN
+    entry = enter_child(low, high, slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
+    if is_by_mean:
+        entry = mean_entry(low, high, slabs, entry, begin, end)
+    share_entries(group, entry, entries)
+    return entries
 
 
 class RayPacket(NamedTuple):
@@ -506,6 +596,7 @@ def packet_of(lanes: int) -> RayPacket:
         leaves: wp.ref[ChildLinks],
         tree: wp.ref[PacketTree],
         scene: SceneBvh,
+        group: int,
         begin: float,
         reach: float,
         order: float,
@@ -524,13 +615,9 @@ def packet_of(lanes: int) -> RayPacket:
         nodes = scene.tlas_nodes
         if tree.number != WORLD:
             nodes = scene.assets[tree.instance.asset].nodes
-        node = Node()
-        load_node(nodes, link, node)
-        is_by_mean = hit_distance == HIT_MEAN
-        entries = enter_children(node, tree.slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
-        if is_by_mean:
-            entries = mean_entries(node, tree.slabs, entries, begin, end)
-        return push_children(stack, top, leaves, node, tree.number, entries, reach, order)
+        links = ChildLinks()
+        entries = child_entries_by_group(nodes, link, links, tree.slabs, group, begin, hit_distance, end)
+        return push_children(stack, top, leaves, links, tree.number, entries, reach, order)
 
     return RayPacket(
         *(Floats, Ints, Vec3s, RaysStorage, packet_rays),

@@ -134,7 +134,7 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                 if number != tree.number:
                     enter_instance(tree, packet, number, scene, rays, first)
                     reach = end_rays(packet, tree, skips, first)
-                leaf_count = visit_node(stack, top, leaves, tree, scene, 0.0, reach, FAR_FIRST, HIT_PEAK, FAR)
+                leaf_count = visit_node(stack, top, leaves, tree, scene, packet.group, 0.0, reach, FAR_FIRST, HIT_PEAK, FAR)
                 found = int(0)
                 for leaf in range(leaf_count):
                     load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)
@@ -211,7 +211,7 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                         enter_instance(tree, packet, number, scene, rays, first)
                         counted = end_rays(packet, tree, skips, first)
                     near = lesser(reach, counted)
-                    leaf_count = visit_node(stack, top, leaves, tree, scene, 0.0, near, NEAR_FIRST, HIT_PEAK, FAR)
+                    leaf_count = visit_node(stack, top, leaves, tree, scene, packet.group, 0.0, near, NEAR_FIRST, HIT_PEAK, FAR)
                     found = int(0)
                     for leaf in range(leaf_count):
                         load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)

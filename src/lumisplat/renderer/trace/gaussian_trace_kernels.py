@@ -126,7 +126,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                         if number != WORLD:
                             hit_distance = tree.instance.hit_distance
                         leaf_count = visit_node(
-                            stack, top, leaves, tree, scene, begin, reach, NEAR_FIRST, hit_distance, end
+                            stack, top, leaves, tree, scene, packet.group, begin, reach, NEAR_FIRST, hit_distance, end
                         )
                         for leaf in range(leaf_count):
                             load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)
