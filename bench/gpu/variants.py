@@ -109,8 +109,7 @@ def hit_list(slots: int) -> Variant:
 
 def thread_block(threads: int, blocks: int) -> Variant:
     """Returns the tracer with another thread block, which also sets how many registers a thread may use."""
-    changes = {f"{TRACER}:TRACE_THREADS": threads, f"{TRACER}:TRACE_BLOCKS": blocks}
-    return Variant(f"{threads} threads, {blocks} blocks", changes)
+    return Variant(f"{threads} threads, {blocks} blocks", {f"{TRACER}:PACKET_BOUNDS": (threads, blocks)})
 
 
 STOCHASTIC = replace(TRACED.config, trace=ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT))

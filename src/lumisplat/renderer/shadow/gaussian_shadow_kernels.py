@@ -22,7 +22,18 @@ from lumisplat.device.bvh.nodes import (
     push_entered,
     push_link,
 )
-from lumisplat.device.bvh.packet import FAR_FIRST, NEAR_FIRST, PACKET_OPTIONS, node_stack_of, packet_of, push_root
+from lumisplat.device.bvh.packet import (
+    FAR_FIRST,
+    NEAR_FIRST,
+    PACKET_BOUNDS,
+    PACKET_OPTIONS,
+    SPREAD_MAX,
+    group_of,
+    largest_of,
+    node_stack_of,
+    packet_of,
+    push_root,
+)
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.particle import (
     alpha_at,
@@ -84,6 +95,7 @@ class RayAbsorption:
 def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     """Returns the kernel of shadows by all Gaussians, for packets of ``lanes`` rays and stacks of ``entries`` nodes."""
     LANES = lanes
+    options = {**PACKET_OPTIONS, "block_dim": PACKET_BOUNDS[0]}
     stacks = node_stack_of(entries)
     NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
     tools, shadows = packet_of(lanes), packet_absorption_of(lanes)
@@ -92,7 +104,7 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     enter_instance, visit_node = tools.enter_instance, tools.visit_node
     AbsorptionStorage, absorption_of, absorb = shadows.storage, shadows.absorption_of, shadows.absorb
 
-    @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
+    @wp.kernel(module="unique", module_options=options, launch_bounds=PACKET_BOUNDS)
     def shadow_by_all(
         start: int,
         settings: wp.array[ShadowData],
@@ -124,22 +136,28 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         tree = PacketTree()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
+            packet.group = group_of(rays.origin[first], rays.direction[first], scene.packet_radius, SPREAD_MAX)
             begin_absorption(absorption, packet, config, rays, first)
+            own_light = float(1.0)
             top = push_root(stack)
             enter_instance(tree, packet, WORLD, scene, rays, first)
-            reach = end_rays(packet, tree, skips, first)
+            reach = largest_of(packet.group, end_rays(packet, tree, skips, first))
             while top > 0:
                 top -= 1
                 number = stack[top].instance
                 if number != tree.number:
                     enter_instance(tree, packet, number, scene, rays, first)
-                    reach = end_rays(packet, tree, skips, first)
-                leaf_count = visit_node(stack, top, leaves, tree, scene, packet.group, 0.0, reach, FAR_FIRST, HIT_PEAK, FAR)
+                    reach = largest_of(packet.group, end_rays(packet, tree, skips, first))
+                leaf_count = visit_node(
+                    stack, top, leaves, tree, scene, packet.group, 0.0, reach, FAR_FIRST, HIT_PEAK, FAR
+                )
                 found = int(0)
                 for leaf in range(leaf_count):
                     load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)
                     found = found | absorb(absorption, packet, particle, tree.instance, config, scene, rays, first, key)
-                if found != 0 and largest(absorption.transmittance) <= 0.0:
+                if found != 0:
+                    own_light = largest(absorption.transmittance)
+                if largest_of(packet.group, own_light) <= 0.0:
                     top = int(0)
             for lane in range(LANES):
                 if absorption.floor[lane] < FAR:
@@ -155,6 +173,7 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
 def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     """Returns the kernel of shadows by the nearest Gaussians; arguments are as for `shadow_kernel`."""
     LANES = lanes
+    options = {**PACKET_OPTIONS, "block_dim": PACKET_BOUNDS[0]}
     stacks = node_stack_of(entries)
     NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
     tools, shadows = packet_of(lanes), packet_first_hits_of(lanes)
@@ -167,7 +186,7 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         shadows.buffer_first_hits,
     )
 
-    @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
+    @wp.kernel(module="unique", module_options=options, launch_bounds=PACKET_BOUNDS)
     def shadow_by_first_hits(
         start: int,
         settings: wp.array[ShadowData],
@@ -198,20 +217,24 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         tree = PacketTree()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
+            packet.group = group_of(rays.origin[first], rays.direction[first], scene.packet_radius, SPREAD_MAX)
             begin_first_hits(first_hits)
-            reach = farthest_reach(first_hits, packet)
+            own_reach = farthest_reach(first_hits, packet)
+            reach = largest_of(packet.group, own_reach)
             top = push_root(stack)
             enter_instance(tree, packet, WORLD, scene, rays, first)
-            counted = end_rays(packet, tree, skips, first)
+            counted = largest_of(packet.group, end_rays(packet, tree, skips, first))
             while top > 0:
                 top -= 1
                 if stack[top].entry <= reach:
                     number = stack[top].instance
                     if number != tree.number:
                         enter_instance(tree, packet, number, scene, rays, first)
-                        counted = end_rays(packet, tree, skips, first)
+                        counted = largest_of(packet.group, end_rays(packet, tree, skips, first))
                     near = lesser(reach, counted)
-                    leaf_count = visit_node(stack, top, leaves, tree, scene, packet.group, 0.0, near, NEAR_FIRST, HIT_PEAK, FAR)
+                    leaf_count = visit_node(
+                        stack, top, leaves, tree, scene, packet.group, 0.0, near, NEAR_FIRST, HIT_PEAK, FAR
+                    )
                     found = int(0)
                     for leaf in range(leaf_count):
                         load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)
@@ -219,7 +242,8 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                             first_hits, packet, particle, tree.instance, config, scene, rays, first
                         )
                     if found != 0:
-                        reach = farthest_reach(first_hits, packet)
+                        own_reach = farthest_reach(first_hits, packet)
+                    reach = largest_of(packet.group, own_reach)
             for lane in range(LANES):
                 if packet.limit[lane] > 0.0:
                     shadow = shadow_of_list(config, scene, first_hits.hits, first_hits.lists[lane])

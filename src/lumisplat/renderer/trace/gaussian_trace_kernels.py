@@ -18,6 +18,7 @@ from lumisplat.constants import TRAVERSE_STACK
 from lumisplat.device.bvh.nodes import lesser
 from lumisplat.device.bvh.packet import (
     NEAR_FIRST,
+    PACKET_BOUNDS,
     PACKET_OPTIONS,
     SPREAD_MAX,
     group_of,
@@ -51,16 +52,11 @@ from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData
 
 wp.set_module_options(PACKET_OPTIONS)
 
-TRACE_THREADS, TRACE_BLOCKS = 128, 4
-"""CUDA threads per block, and blocks at once, so that each thread has 128 registers. The kernel would use twice as many
-registers, but more threads hide more latency (H200, a million Gaussians: 86 ms instead of 103)."""
-
-
 @functools.cache
 def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     """Returns the kernel whose threads trace ``lanes`` rays each, with a traversal stack of ``entries`` nodes."""
     LANES = lanes
-    options = {**PACKET_OPTIONS, "block_dim": TRACE_THREADS}
+    options = {**PACKET_OPTIONS, "block_dim": PACKET_BOUNDS[0]}
     stacks = node_stack_of(entries)
     NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
     tools, tracing = packet_of(lanes), packet_tracing_of(lanes)
@@ -69,7 +65,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     enter_instance, visit_node = tools.enter_instance, tools.visit_node
     TracedStorage, traced_packet, buffer_hits = tracing.storage, tracing.traced_packet, tracing.buffer_hits
 
-    @wp.kernel(module="unique", module_options=options, launch_bounds=(TRACE_THREADS, TRACE_BLOCKS))
+    @wp.kernel(module="unique", module_options=options, launch_bounds=PACKET_BOUNDS)
     def trace_gaussians(
         start: int,
         settings: wp.array[TraceData],
