@@ -542,7 +542,8 @@ class Renderer:
             centers = self._camera_rays.start(self._scene, of_splats=True) if plan.jitters_meshes else None
             if plan.is_unscented:
                 return self._unscented.find_hits(self._scene, rays, centers)
-            return self._tracer.find_hits(self._scene, rays, "camera", centers=centers)
+            from_eye = self._scene.has_one_eye
+            return self._tracer.find_hits(self._scene, rays, "camera", from_eye=from_eye, centers=centers)
 
         while True:
             hits = self._launcher.replay("hits", (self._scene.graph_key, self._binning.growth, count), find)

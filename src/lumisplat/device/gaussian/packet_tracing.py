@@ -328,7 +328,7 @@ def blend_hits(
         alpha = wp.where(config.strategy == STRATEGY_HIT, 1.0, hits[head].alpha)
         head += 1
         before = pixel
-        pixel = blend_hit(pixel, config, scene.instances, scene.assets, ray, index, alpha)
+        pixel = blend_hit(pixel, config, scene, ray, index, alpha)
         if profiles:
             record_hit(profiles, i, pixel, t, index, alpha)
         if radiance.relit_weight:

@@ -9,7 +9,7 @@ from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color,
 from lumisplat.device.math.random import draw
 from lumisplat.device.splat.blending import begin_relit, empty_pixel, instance_of, lay_behind
 from lumisplat.device.splat.projection import BEYOND_MAX, towards
-from lumisplat.device.structs.bvh import AssetBvh, TraceData
+from lumisplat.device.structs.bvh import SceneBvh, TraceData
 from lumisplat.device.structs.raster import BlendState
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
@@ -47,36 +47,40 @@ def hit_color(view: TraceData, instance: SplatInstanceData, gaussians: GaussianD
 
 
 @wp.func
-def blend_hit(
-    pixel: BlendState,
-    view: TraceData,
-    instances: wp.array[SplatInstanceData],
-    assets: wp.array[AssetBvh],
-    ray: Ray,
-    index: int,
-    alpha: float,
-) -> BlendState:
+def seen_normal(instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
+    """Returns the world-space unit normal of Gaussian ``i``'s max-density plane, towards ``eye``, object space."""
+    return instance.world_from_object * gaussian_facing(gaussians, i, eye)
+
+
+@wp.func
+def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, index: int, alpha: float) -> BlendState:
     """Blends Gaussian ``index``, counted over all splat instances, behind those that a ray has already blended.
 
     Colour and normal are those that the eye, unfolded at all mirrors, would see: a plane mirror shows what a mirrored
     camera sees.
     """
-    number = instance_of(instances, index)
-    instance = instances[number]
+    number = instance_of(scene.instances, index)
+    instance = scene.instances[number]
     i = index - instance.first
-    gaussians = assets[instance.asset].gaussians
+    gaussians = scene.assets[instance.asset].gaussians
     origin = instance.object_from_world * ray.origin + instance.object_from_world_offset
     direction = instance.object_from_world * ray.direction
     eye = origin - ray.path_length * direction
-    color = hit_color(view, instance, gaussians, i, eye)
+    color = wp.vec3()
+    if scene.seen_colors:
+        color = scene.seen_colors[index]
+    else:
+        color = hit_color(view, instance, gaussians, i, eye)
     normal = wp.vec3()
     if instance.stored_normals != 0:
         normal = towards(gaussians.normals[i], -direction, wp.where(ray.spread > 0.0, BEYOND_MAX, 0.0))
+        normal = instance.world_from_object * normal
     elif view.ellipsoid_normal != 0:
-        normal = ellipsoid_normal(instance, gaussians, i, origin, direction, ray)
+        normal = instance.world_from_object * ellipsoid_normal(instance, gaussians, i, origin, direction, ray)
+    elif scene.seen_normals:
+        normal = scene.seen_normals[index]
     else:
-        normal = gaussian_facing(gaussians, i, eye)
-    normal = instance.world_from_object * normal
+        normal = seen_normal(instance, gaussians, i, eye)
     return lay_behind(pixel, color, normal, index, alpha, view.depth_iso_transmittance)
 
 

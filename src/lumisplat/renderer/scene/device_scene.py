@@ -28,7 +28,7 @@ from lumisplat.renderer.trees.mesh_bvh import MeshBvhScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
-from lumisplat.scene.camera import Camera
+from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.checks import with_checked
 from lumisplat.scene.local_frame import LocalFrame, rendered_frame
 from lumisplat.scene.scene import Scene
@@ -76,6 +76,8 @@ class DeviceScene:
         """Captures that are sampled as lights, synchronised in real-time frames."""
         self.image_size = (0, 0)
         """Width and height of the image, pixels."""
+        self.has_one_eye = False
+        """True if all rays of the camera start at its eye."""
         self.gaussian_count = 0
         """Number of Gaussians over all instances."""
         self.triangle_count = 0
@@ -131,7 +133,7 @@ class DeviceScene:
         Data that changes from frame to frame or sample to sample is in arrays whose addresses stay the same.
         """
         tables = self.bvh.graph_key, self._mesh_bvh.graph_key, self._shading.graph_key
-        return self.image_size, self.plan, self.version, tables, self._buffers.allocations
+        return self.image_size, self.has_one_eye, self.plan, self.version, tables, self._buffers.allocations
 
     @property
     def bytes(self) -> int:
@@ -153,6 +155,8 @@ class DeviceScene:
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, camera.image_size
+            is_central = camera.model is not CameraModel.ORTHOGRAPHIC and camera.aperture == 0.0
+            self.has_one_eye = is_central and camera.camera_from_world_end is None
             if plan.has_history:
                 self.motion.sync(
                     scene,

@@ -67,6 +67,7 @@ class PathGaussians:
         name: str,
         *,
         bounced: bool,
+        from_eye: bool = False,
         dark: DarkenedCaptures | None = None,
     ) -> GaussianHits:
         """Returns Gaussian hits like `GaussianTracer.find`; a ray that hits a relit Gaussian has transmittance 0.
@@ -78,10 +79,11 @@ class PathGaussians:
             name: Name of the buffers that hold the result.
             bounced: Whether the rays start at surfaces. Each ray then skips the Gaussians of its surface, as shadow
                 rays do.
+            from_eye: Whether all rays start at the eye of the scene's camera.
             dark: Captures that appear black to the rays; None: none.
         """
         if not scene.plan.traces_paths or (self._is_blended_first and not bounced):
-            return self._blended.find(scene, rays, limits, name, bounced=bounced)
+            return self._blended.find(scene, rays, limits, name, bounced=bounced, from_eye=from_eye)
         if not scene.plan.has_emissive_captures:
             return self._stochastic.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.RELIT)
         if not scene.plan.relights:

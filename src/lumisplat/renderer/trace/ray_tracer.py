@@ -46,6 +46,7 @@ class RayTracer:
         name: str,
         *,
         bounced: bool = False,
+        from_eye: bool = False,
         centers: RayData | None = None,
         dark: DarkenedCaptures | None = None,
     ) -> PrimaryHits:
@@ -57,6 +58,7 @@ class RayTracer:
             name: Prefix of the buffers that hold the result.
             bounced: Whether the rays start at surfaces. Each ray then skips the Gaussians of its surface, as shadow
                 rays do.
+            from_eye: Whether all rays start at the eye of the scene's camera.
             centers: Rays through pixel centres, along which Gaussians are evaluated; None: along ``rays``.
             dark: Captures that appear black to rays of paths; None: none.
         """
@@ -65,7 +67,7 @@ class RayTracer:
         with self._launcher.stage("gaussians"):
             inputs = scene, centers or rays, meshes.t, f"{name}.gaussians"
             if dark is None:
-                gaussians = self._gaussians.find(*inputs, bounced=bounced)
+                gaussians = self._gaussians.find(*inputs, bounced=bounced, from_eye=from_eye)
             else:
                 assert isinstance(self._gaussians, PathGaussians)
                 gaussians = self._gaussians.find(*inputs, bounced=bounced, dark=dark)

@@ -125,7 +125,7 @@ def find_stochastic_hits(
         ray = ray_of(rays, i)
         if config.offset < FAR:
             ray.t_min = 0.0  # small Gaussians count even before the ray's t_min
-        blended = blend_hit(pixel, config, scene.instances, scene.assets, ray, nearest.index, 1.0)
+        blended = blend_hit(pixel, config, scene, ray, nearest.index, 1.0)
         store_pixel(hits_out, i, blended)
         hits_out.depth[i] = surface_distance(scene, ray, end, nearest.index, nearest.t)
         if hits_out.relit_weight:

@@ -1,0 +1,30 @@
+"""Kernel that evaluates all Gaussians as an eye sees them. One thread per Gaussian of the scene."""
+
+import warp as wp
+
+from lumisplat.device.bvh.packet import PACKET_OPTIONS
+from lumisplat.device.gaussian.ray_compositing import hit_color, seen_normal
+from lumisplat.device.splat.blending import instance_of
+from lumisplat.device.structs.bvh import SceneBvh, TraceData
+from lumisplat.device.structs.camera import CameraData
+
+wp.set_module_options(PACKET_OPTIONS)
+
+
+@wp.kernel
+def see_gaussians(
+    start: int,
+    cameras: wp.array[CameraData],
+    settings: wp.array[TraceData],
+    scene: SceneBvh,
+    colors_out: wp.array[wp.vec3],
+    normals_out: wp.array[wp.vec3],
+):
+    """Writes a Gaussian's colour and normal as rays from the camera's eye show them."""
+    index = start + wp.tid()
+    instance = scene.instances[instance_of(scene.instances, index)]
+    gaussians = scene.assets[instance.asset].gaussians
+    i = index - instance.first
+    eye = instance.object_from_world * cameras[0].eye + instance.object_from_world_offset
+    colors_out[index] = hit_color(settings[0], instance, gaussians, i, eye)
+    normals_out[index] = seen_normal(instance, gaussians, i, eye)
