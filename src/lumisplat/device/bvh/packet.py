@@ -362,50 +362,33 @@ load_node = aligned_load_of(Node)
 
 
 @wp.func
-def child_entries(
-    nodes: wp.array[Node],
-    link: int,
-    links: wp.ref[ChildLinks],
-    slabs: Slabs,
-    begin: float,
-    hit_distance: int,
-    end: float,
-) -> Children:
-    """Returns the distances at which a packet enters the children of node ``link``, and writes their ``links``."""
+def child_entries(nodes: wp.array[Node], link: int, slabs: Slabs, begin: float, hit_distance: int, end: float):
+    """Returns the distances at which a packet enters the children of node ``link``, and their links."""
     node = Node()
     load_node(nodes, link, node)
-    links = node.link
     is_by_mean = hit_distance == HIT_MEAN
     entries = enter_children(node, slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
     if is_by_mean:
         entries = mean_entries(node, slabs, entries, begin, end)
-    return entries
+    return entries, node.link
 
 
 @wp.func
-def child_entries_by_group(
-    nodes: wp.array[Node],
-    link: int,
-    links: wp.ref[ChildLinks],
-    slabs: Slabs,
-    group: int,
-    begin: float,
-    hit_distance: int,
-    end: float,
-) -> Children:
-    """Returns the same as ``child_entries``; the threads of a group, if there is one, test one child each."""
-    if group == 0:
-        return child_entries(nodes, link, links, slabs, begin, hit_distance, end)
+def child_entries_of_group(
+    nodes: wp.array[Node], link: int, group: int, slabs: Slabs, begin: float, hit_distance: int, end: float
+):
+    """Returns what ``child_entries`` does, on CUDA from all threads of a group, which test one child each."""
     low = wp.vec3()
     high = wp.vec3()
-    entries = Children()
+    links = ChildLinks()
     read_child(nodes, link, group, low, high, links)
     is_by_mean = hit_distance == HIT_MEAN
     entry = enter_child(low, high, slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
     if is_by_mean:
         entry = mean_entry(low, high, slabs, entry, begin, end)
+    entries = Children()
     share_entries(group, entry, entries)
-    return entries
+    return entries, links
 
 
 class RayPacket(NamedTuple):
@@ -621,8 +604,12 @@ def packet_of(lanes: int) -> RayPacket:
         nodes = scene.tlas_nodes
         if tree.number != WORLD:
             nodes = scene.assets[tree.instance.asset].nodes
+        entries = Children()
         links = ChildLinks()
-        entries = child_entries_by_group(nodes, link, links, tree.slabs, group, begin, hit_distance, end)
+        if group != 0:
+            entries, links = child_entries_of_group(nodes, link, group, tree.slabs, begin, hit_distance, end)
+        else:
+            entries, links = child_entries(nodes, link, tree.slabs, begin, hit_distance, end)
         return push_children(stack, top, leaves, links, tree.number, entries, reach, order)
 
     return RayPacket(

@@ -52,6 +52,7 @@ from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData
 
 wp.set_module_options(PACKET_OPTIONS)
 
+
 @functools.cache
 def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     """Returns the kernel whose threads trace ``lanes`` rays each, with a traversal stack of ``entries`` nodes."""

@@ -1,7 +1,8 @@
 """Kernels that build BVHs over boxes level by level from the root, and refit their boxes.
 
-``split_by_area`` (CPU) and ``split_by_code`` (CUDA) have one thread per node of a level, and order the node's items
-child by child. ``link_nodes`` and ``refit_nodes`` have one thread per node of a level, ``write_links`` one per node.
+``split_by_area`` (CPU) and ``split_by_code`` (CUDA) have one thread per node of a level. Items that are split by area
+are ordered child by child. ``link_nodes`` and ``refit_nodes`` have one thread per node of a level, ``write_links`` one
+per node.
 """
 
 import warp as wp
@@ -17,7 +18,7 @@ SAH_BINS = 16
 MORTON_ITEMS_MIN = 256
 """Number of items above which CUDA splits a node by Morton codes, and up to which by the surface area heuristic.
 
-Rays visit as many nodes of such a tree as if all nodes were split by the heuristic; with 64, a tenth more."""
+Rays visit at most 6 % more nodes of such a tree than if all nodes were split by the heuristic."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 AREA_ITEMS = wp.constant(MORTON_ITEMS_MIN)
