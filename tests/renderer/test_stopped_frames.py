@@ -46,6 +46,17 @@ def test_frame_stopped_at_any_moment_does_not_change_later_frames(pipeline: ls.P
     np.testing.assert_array_equal(used.render(LIT, CAMERA, resume=expected).color, again.color)
 
 
+def test_unlit_raster_frame_stopped_at_any_moment_does_not_change_later_frames() -> None:
+    """Such frames skip samples and film; the viewer stops them, too, when a camera that has paused moves on."""
+    unlit = ls.Scene([random_gaussians(1, count=200)], LIT.meshes)
+    expected = ls.create_renderer(device="cpu", threads=2).render(unlit, CAMERA)
+    for count in (1, 2, 7, 20):
+        used = ls.create_renderer(device="cpu", threads=2)
+        with pytest.raises(ls.errors.StoppedError):
+            used.render(unlit, CAMERA, stop=after(count))
+        np.testing.assert_array_equal(used.render(unlit, CAMERA).color, expected.color)
+
+
 def test_frame_is_complete_if_the_stop_function_returns_false() -> None:
     """The stop function is called many times during the frame."""
     asked: list[bool] = []

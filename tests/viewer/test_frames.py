@@ -16,6 +16,8 @@ from lumisplat.viewer.frames.page import (
     PIXEL_STEPS,
     DetailController,
     DetailStep,
+    Page,
+    ScreenImage,
     first_step,
     page_depth,
     split_image,
@@ -25,7 +27,7 @@ from lumisplat.viewer.frames.scene_builder import Levels
 from lumisplat.viewer.overlays import box_outline, draw_outlines, light_outline
 from lumisplat.viewer.picking import picked
 from lumisplat.viewer.scene_extent import Extent, world_corners
-from lumisplat.viewer.thresholds import DEPTH_STRIDE, LEVEL_GAUSSIANS_MIN
+from lumisplat.viewer.thresholds import DEPTH_STRIDE, GAP_DECAY, LEVEL_GAUSSIANS_MIN, SETTLED_GAPS, SETTLED_S
 
 FACING = ls.Camera.look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=90)
 
@@ -89,6 +91,39 @@ def test_viewer_starts_large_scenes_at_a_coarser_detail_step_than_small_ones(
 ) -> None:
     """The first frame has at most `MOVING_GAUSSIANS_MAX` Gaussians; small scenes start at a quarter of theirs."""
     assert GAUSSIAN_STEPS[first_step(count)] == DetailStep(level, scale)
+
+
+class NoScreen:
+    """Screen that shows nothing."""
+
+    def show(self, shown: ScreenImage) -> None:
+        """Drops the image."""
+
+    def close(self) -> None:
+        """Does nothing."""
+
+
+def test_camera_counts_as_stopped_after_twice_the_usual_gap_between_its_messages(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A single step may begin a motion, so it waits longest; a motion with one longer gap waits longer for a while."""
+    now = [100.0]
+    monkeypatch.setattr("lumisplat.viewer.frames.page.time.monotonic", lambda: now[0])
+    page = Page(NoScreen(), threading.Condition())
+    poses = itertools.cycle([Pose((x, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 1.0, 1.5, 1.0) for x in (0.0, 1.0)])
+
+    def wait_after(gaps: list[float]) -> float:
+        for gap in gaps:
+            now[0] += gap
+            page.set_pose(next(poses))
+        return page.stops_at - now[0]
+
+    assert wait_after([0.0]) == pytest.approx(SETTLED_GAPS * SETTLED_S)
+    assert wait_after([0.02] * 20) == pytest.approx(SETTLED_GAPS * 0.02)
+    assert wait_after([0.1]) == pytest.approx(SETTLED_GAPS * 0.1)
+    assert wait_after([0.02]) == pytest.approx(SETTLED_GAPS * GAP_DECAY * 0.1)
+    assert wait_after([60.0]) == pytest.approx(SETTLED_GAPS * SETTLED_S)
+    page.close()
 
 
 def random_capture(count: int) -> ls.Gaussians:

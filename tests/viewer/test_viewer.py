@@ -394,6 +394,20 @@ def test_viewer_stops_a_long_frame_of_a_still_view_when_the_view_moves(
         assert not page.notes()
 
 
+def test_still_view_gets_a_full_frame_sooner_after_a_motion_than_after_an_edit(viewer: ls.Viewer) -> None:
+    """A motion ends when its messages end; edits may follow each other at any interval."""
+    with PageClient(viewer.url) as page:
+        for step in range(30):
+            page.look(camera(0.01 * step))
+            time.sleep(0.005)
+        settled(viewer, page)
+        shown = next(iter(viewer._pages.values()))
+        assert shown.rests_at <= shown.stops_at
+        viewer._session.set_options(height=2 * HEIGHT)
+        settled(viewer, page)
+        assert shown.rests_at > shown.stops_at
+
+
 def rendered_at(height: int) -> np.ndarray:
     """Renders the image that a page in front of the lit scene should show."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)

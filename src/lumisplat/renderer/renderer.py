@@ -201,7 +201,7 @@ class Renderer:
                 numpy.uint8)`` and saving a PNG; CUDA always does.
             progress: Called after each sample with a label and the fraction done, 0..1. The label contains the number
                 of samples and, once there are enough samples for an estimate, the noise, separated by commas.
-            stop: Polled often while a CPU samples the frame, from any thread. When it returns True, the frame is
+            stop: Polled often while a CPU renders the frame, from any thread. When it returns True, the frame is
                 abandoned and the renderer is unchanged. Real-time frames depend on each other and are always finished.
 
         Raises:
@@ -234,7 +234,8 @@ class Renderer:
         self._check(plan, scene, camera, resume)
         self._begin(plan, scene, camera, progress, encodes=encode)
         if not plan.is_sampled:
-            pixels = self._unlit_raster.draw(self._scene)
+            with self._launcher.stoppable(stop):
+                pixels = self._unlit_raster.draw(self._scene)
             with self._launcher.stage("download"):
                 transparent = self.config.background is None
                 images = self._film.unlit_images(pixels, transparent=transparent, encodes=encode)

@@ -7,9 +7,16 @@ MESSAGE_BYTES_MAX = 2**22
 """Largest message from a page, bytes. Pages upload files in parts of half a megabyte."""
 
 SETTLED_S = 0.25
-"""Time since the last change of camera or scene after which a view counts as still and gets full frames, seconds.
-Shorter times would make full and reduced frames alternate during motion.
+"""Longest time since the last change of camera or scene after which a view counts as still and gets full frames,
+seconds. Shorter times would make full and reduced frames alternate when the scene changes in steps.
 """
+
+SETTLED_GAPS = 2.0
+"""A camera that has sent no message for this many times the usual gap between messages of its motion has stopped."""
+
+GAP_DECAY = 0.8
+"""Factor per message on the largest recent gap between two messages of a camera, so that the gaps before a motion are
+forgotten within a dozen messages."""
 
 INTERRUPT_S = 0.5
 """Interval at which the main thread wakes to handle Ctrl+C, seconds; the longest delay until the viewer ends."""

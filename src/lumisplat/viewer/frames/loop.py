@@ -347,7 +347,7 @@ class RenderLoop:
                 if page.takes_frames:
                     self._move_to_back(page)
                     return self._job(page, key, moves=True)
-            elif not page.is_finished and resting is None and now - page.changed_at >= SETTLED_S:
+            elif not page.is_finished and resting is None and now >= page.rests_at:
                 resting = page
         if resting is None:
             return None
@@ -372,7 +372,7 @@ class RenderLoop:
 
     def _time_to_rest(self) -> float | None:
         """Returns the seconds until a view that has stopped moving gets full frames; None if all pages are finished."""
-        waiting = [page.changed_at + SETTLED_S for page in self._pages if page.key is not None and not page.is_finished]
+        waiting = [page.rests_at for page in self._pages if page.key is not None and not page.is_finished]
         return max(min(waiting) - time.monotonic(), 1e-3) if waiting else None
 
     # --- Frames ---
@@ -428,9 +428,12 @@ class RenderLoop:
         if is_warm:  # the first frame compiles and uploads
             page.detail.record(took, options.budget_ms)
         with self._session.changed:
+            only_camera_moved = page.key is not None and page.key[0] == job.key[0]
             page.key, page.frame, page.noise, page.frames_at_rest = job.key, frame, None, 0
             page.content = _frame_inputs(job, config)
-            page.changed_at, page.is_finished = time.monotonic(), False
+            page.rests_at, page.is_finished = time.monotonic() + SETTLED_S, False
+            if only_camera_moved and not in_sequence:  # a full frame is abandoned if the camera moves on
+                page.rests_at = min(page.rests_at, page.stops_at)
         page.show(ScreenImage(picture, JPEG_QUALITY_MOVING))
         self._on_frame(page, step, took)
 

@@ -20,9 +20,12 @@ from lumisplat.viewer.thresholds import (
     DETAIL_HEADROOM,
     DETAIL_HOLD_FRAMES,
     DETAIL_TIME_DECAY,
+    GAP_DECAY,
     LEVEL_FRACTIONS,
     MOVING_GAUSSIANS_MAX,
     PIXEL_SCALES,
+    SETTLED_GAPS,
+    SETTLED_S,
 )
 
 if TYPE_CHECKING:
@@ -195,9 +198,12 @@ class Page:
         self.pose_number = 0
         self.fitted_aspects: set[float] = set()
         """Aspect ratios, width over height, for which the viewer has moved the camera so that the whole scene fits."""
-        self.changed_at = 0.0
-        """Time of the last frame of a changed view, seconds of the monotonic clock; full frames wait `SETTLED_S`
-        longer."""
+        self.rests_at = 0.0
+        """Time from which the view counts as still unless it changes before, seconds of the monotonic clock."""
+        self._pose_at = -math.inf
+        """Time of the last change of ``pose``, seconds of the monotonic clock."""
+        self._pose_gap = SETTLED_S
+        """Largest recent time between two changes of ``pose``, at most `SETTLED_S`, seconds."""
         self.key: tuple[int, int] | None = None
         """`Session.revision` and the page's ``pose_number`` for the last frame, rendered or failed; a different pair
         means that a new frame is due. None before the first frame."""
@@ -226,9 +232,16 @@ class Page:
         """Sets the camera that frames of the page are rendered from; None stops rendering for the page."""
         with self._changed:
             if pose != self.pose:
-                self.pose = pose
+                now = time.monotonic()
+                self._pose_gap = min(max(now - self._pose_at, GAP_DECAY * self._pose_gap), SETTLED_S)
+                self.pose, self._pose_at = pose, now
                 self.pose_number += 1
                 self._changed.notify_all()
+
+    @property
+    def stops_at(self) -> float:
+        """Time from which the camera counts as stopped unless it moves before, seconds of the monotonic clock."""
+        return self._pose_at + SETTLED_GAPS * self._pose_gap
 
     @property
     def takes_frames(self) -> bool:
