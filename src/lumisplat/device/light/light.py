@@ -49,9 +49,23 @@ def cone(light: LightData, direction: wp.vec3) -> float:
     the squared distance of two unit vectors, because this keeps its digits for narrow cones.
     """
     off = direction + light.direction
-    share = (light.outer - 0.5 * wp.dot(off, off)) / wp.max(light.outer - light.inner, TINY)
+    return cone_share(light, wp.dot(off, off))
+
+
+@wp.func
+def cone_share(light: LightData, off2: float) -> float:
+    """Returns ``cone`` from the squared distance of the two unit vectors: spot's axis, and direction from the spot."""
+    share = (light.outer - 0.5 * off2) / wp.max(light.outer - light.inner, TINY)
     share = wp.clamp(share, 0.0, 1.0)
     return share * share
+
+
+@wp.func
+def attenuated(share: float, distance2: float, inverse: float, nearest2: float) -> float:
+    """Returns ``share`` over the squared distance, at least ``nearest2``, to a light; ``inverse`` is 1 / distance."""
+    if distance2 > nearest2:
+        return share * (inverse * inverse)
+    return share / nearest2
 
 
 @wp.func
@@ -89,10 +103,7 @@ def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
             share *= 2.0 / (1.0 + cosine)
         else:
             nearest2 = wp.max(nearest2, light.radius * light.radius)
-    if distance2 > nearest2:
-        share *= inverse * inverse
-    else:
-        share /= nearest2
+    share = attenuated(share, distance2, inverse, nearest2)
     sample.irradiance = wp.min(share * light.power, BRIGHTEST)
     return sample
 

@@ -264,9 +264,15 @@ def simple_share(bsdf: Bsdf) -> float:
 @wp.func
 def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
     """Returns the reflectance of a microfacet of BSDF_PBR for the cosine of incidence (Schlick 1994)."""
+    return bsdf.specular + schlick_factor(cosine) * (wp.vec3(bsdf.grazing) - bsdf.specular)
+
+
+@wp.func
+def schlick_factor(cosine: float) -> float:
+    """Returns ``(1 - cosine)^5``, by which the reflectance rises from normal to grazing incidence (Schlick 1994)."""
     x = wp.max(1.0 - cosine, 0.0)
     x2 = x * x
-    return bsdf.specular + x2 * x2 * x * (wp.vec3(bsdf.grazing) - bsdf.specular)
+    return x2 * x2 * x
 
 
 @wp.func
@@ -288,9 +294,15 @@ def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
     """Returns the fraction of light arriving at a cosine that the dielectric reflects as highlight or mirror image."""
     if bsdf.alpha <= 0.0 or transmits(bsdf):
         return dielectric_share(bsdf.dielectric, cosine, bsdf.eta)
-    rising = rising_share(cosine, bsdf.alpha)
-    head_on = head_on_share(bsdf.dielectric, bsdf.eta)
-    return head_on * (1.0 - lost_share(cosine, bsdf.alpha) - rising) + bsdf.dielectric * rising
+    return rough_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, cosine)
+
+
+@wp.func
+def rough_mirrored_share(dielectric: float, eta: float, alpha: float, cosine: float) -> float:
+    """Returns ``mirrored_share`` of a rough, opaque surface."""
+    rising = rising_share(cosine, alpha)
+    head_on = head_on_share(dielectric, eta)
+    return head_on * (1.0 - lost_share(cosine, alpha) - rising) + dielectric * rising
 
 
 @wp.func
@@ -315,7 +327,16 @@ def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
         return INV_PI * bsdf.diffuse
     enters = 1.0 - mirrored_share(bsdf, cos_light)
     leaves = 1.0 - mirrored_share(bsdf, cos_view)
-    return (INV_PI * enters * leaves / wp.max(1.0 - bsdf.mean_mirrored, 1e-6)) * bsdf.diffuse
+    return diffuse_factor(enters, leaves, bsdf.mean_mirrored) * bsdf.diffuse
+
+
+@wp.func
+def diffuse_factor(enters: float, leaves: float, mean_mirrored: float) -> float:
+    """Returns the diffuse lobe of BSDF_PBR for a white albedo.
+
+    ``enters`` and ``leaves`` are the fractions of light that are not reflected specularly on entry and on exit.
+    """
+    return INV_PI * enters * leaves / wp.max(1.0 - mean_mirrored, 1e-6)
 
 
 @wp.func

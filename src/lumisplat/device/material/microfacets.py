@@ -124,10 +124,15 @@ def ggx_d(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
     D is ``alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2)`` of the angle between ``normal`` and ``half``. ``half`` may have
     any length.
     """
-    alpha2 = alpha * alpha
     across = wp.cross(normal, half)
-    along = wp.dot(normal, half)
-    spread = (alpha2 * along * along + wp.dot(across, across)) / wp.dot(half, half)
+    return ggx_of_parts(wp.dot(normal, half), wp.dot(across, across), wp.dot(half, half), alpha)
+
+
+@wp.func
+def ggx_of_parts(along: float, across2: float, half2: float, alpha: float) -> float:
+    """Returns ``ggx_d`` from ``dot(normal, half)``, ``|cross(normal, half)|^2`` and ``|half|^2``."""
+    alpha2 = alpha * alpha
+    spread = (alpha2 * along * along + across2) / half2
     return INV_PI * alpha2 / (spread * spread)
 
 

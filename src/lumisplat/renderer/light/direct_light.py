@@ -8,7 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.config import RenderConfig, Shadows
-from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.constants import PACKET_RAYS, SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import CatcherIrradiance
 from lumisplat.renderer.light import direct_light_kernels as kernels, unshadowed_light_kernels
@@ -30,7 +30,11 @@ class DirectLight:
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the kernel modules that direct light needs in a frame."""
-        modules: list[KernelModule] = [unshadowed_light_kernels] if plan.has_unshadowed else []
+        modules: list[KernelModule] = []
+        if plan.has_unshadowed and not self._launcher.is_parallel:
+            modules += [unshadowed_light_kernels.TILES]
+        if plan.samples_unshadowed or (plan.has_unshadowed and self._launcher.is_parallel):
+            modules += [unshadowed_light_kernels]
         if plan.casts_shadows or "lights" in plan.aovs:
             modules += [kernels]
         if plan.casts_shadows:
@@ -76,12 +80,12 @@ class DirectLight:
         soft = self._config.shadows is Shadows.SOFT
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         if analytic and not soft:
-            self._launcher.run_banded(
-                unshadowed_light_kernels.add_hard_lights,
-                wave.count,
-                *(no_shadows, scene.shading, wave.data),
-                bands=bands,
-            )
+            inputs = no_shadows, scene.shading, wave.data
+            if self._launcher.is_parallel:
+                self._launcher.run_banded(unshadowed_light_kernels.add_hard_lights, wave.count, *inputs)
+            else:
+                count = -(-wave.count // PACKET_RAYS)
+                self._launcher.run_banded(unshadowed_light_kernels.add_hard_lights_tiles, count, *inputs, bands=bands)
         if len(lights) > analytic or (soft and analytic):
             self._launcher.run_banded(
                 unshadowed_light_kernels.add_sampled_lights,

@@ -174,7 +174,7 @@ def store_layers(
 
 
 @wp.func
-def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
+def store_interactions(i: int, surface: wp.ref[SplatSurface], scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     """Writes the two interactions of a ray: with the surface of its Gaussians, and with the mesh behind the surface."""
     j = wave[0].interactions.exists.shape[0] // 2 + i
     splats = Interaction()

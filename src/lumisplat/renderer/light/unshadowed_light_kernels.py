@@ -9,6 +9,16 @@ from lumisplat.device.light.direct_light import (
 )
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.light import LIGHT_ENVIRONMENT
+from lumisplat.device.light.light_lanes import (
+    LANES,
+    LanesStorage,
+    clear_lane,
+    has_plain_bsdf,
+    light_lanes,
+    lit_lanes,
+    load_lane,
+    reflect_lanes,
+)
 from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
@@ -89,3 +99,43 @@ def add_sampled_lights(
             wave_inout[0].radiance.light[i] += sampled_light(
                 interaction, wave_inout[0].rays.pixel_key[i], wave_inout[0].rays.sample[i], no_shadows, scene
             )
+
+
+TILES = wp.get_module(f"{__name__}.tiles")
+# Loops over lanes must stay loops for the vectoriser.
+wp.set_module_options(SHADE_OPTIONS | {"max_unroll": 4}, TILES)
+
+
+@wp.kernel(module=TILES)
+def add_hard_lights_tiles(
+    start: int,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave_inout: wp.array[WaveData],
+):
+    """Per 16 rays: adds the light that ``add_hard_lights`` adds to each of them."""
+    first = LANES * (start + wp.tid())
+    stride = wave_inout[0].interactions.exists.shape[0] // 2
+    storage = LanesStorage()
+    lanes = lit_lanes(storage)
+    for slot in range(2):
+        count = int(0)
+        for lane in range(LANES):
+            clear_lane(lanes, lane)
+            i = first + lane
+            j = slot * stride + i
+            if i < stride and wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_catcher[j]:
+                if has_plain_bsdf(j, wave_inout):
+                    load_lane(lanes, lane, j, wave_inout)
+                    count += 1
+                else:
+                    wave_inout[0].radiance.light[i] += hard_light(load_interaction(j, wave_inout), no_shadows, scene)
+        if count > 0:
+            for number in range(scene[0].settings[0].light_count):
+                if is_unshadowed(number, no_shadows, scene) and scene[0].lights[number].kind != LIGHT_ENVIRONMENT:
+                    light_lanes(scene[0].lights[number], lanes)
+                    reflect_lanes(lanes)
+            for lane in range(LANES):
+                if lanes.weight[lane] > 0.0:
+                    total = wp.vec3(lanes.reflected[0, lane], lanes.reflected[1, lane], lanes.reflected[2, lane])
+                    wave_inout[0].radiance.light[first + lane] += total

@@ -122,6 +122,8 @@ class FramePlan:
     has_unshadowed: bool
     """True if some light reaches a reflecting surface without a shadow test: the light or the whole frame casts no
     shadows, or the light is the headlight."""
+    samples_unshadowed: bool
+    """True if such light may come from the environment or from soft lights, which are sampled at random."""
     casts_shadows: bool
     """True if shadow rays are traced: some light casts shadows, and some object can block that light."""
     splat_shadows: SplatShadows
@@ -265,6 +267,8 @@ class FramePlan:
             is_unscented=is_unscented,
             integrator=pipeline.integrator if is_lit or not bounces else Integrator.WHITTED,
             has_unshadowed=has_unshadowed,
+            samples_unshadowed=has_unshadowed
+            and (config.shadows is Shadows.SOFT or any(isinstance(light, LightEnvironment) for light in scene.lights)),
             casts_shadows=casts_shadows,
             splat_shadows=splat_shadows,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises or is_unscented,

@@ -3,6 +3,13 @@
 import warp as wp
 
 from lumisplat.device.camera.camera import camera_ray
+from lumisplat.device.camera.pinhole_lanes import (
+    LANES,
+    PinholeStorage,
+    is_plain_pinhole,
+    pinhole_lanes,
+    start_lanes,
+)
 from lumisplat.device.camera.pixels import full_image_index, full_pixel_of_ray, is_in_window
 from lumisplat.device.math.random import pixel_key_of, sample_key_of
 from lumisplat.device.structs.camera import CameraData, ListedRays, SampleData
@@ -11,21 +18,9 @@ from lumisplat.device.structs.rays import RayData
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.kernel
-def start_rays(
-    start: int,
-    cameras: wp.array[CameraData],
-    samples: wp.array[SampleData],
-    listed: ListedRays,
-    rays_out: RayData,
-):
-    """Per ray: starts the ray of a camera's pixel, or of an entry of ``listed`` if the list is not empty.
-
-    Rays outside the window, after the end of the list, or outside a fisheye's image circle are inactive.
-    """
-    i = start + wp.tid()
-    camera = cameras[0]
-    sample = samples[0]
+@wp.func
+def start_ray(i: int, camera: CameraData, sample: SampleData, listed: ListedRays, rays_out: RayData):
+    """Starts ray ``i``; arguments as for ``start_rays``."""
     pixel_index = i
     rays_out.is_active[i] = False
     if listed.ray:
@@ -52,6 +47,21 @@ def start_rays(
     rays_out.sample_key[i] = sample_key_of(number, sample.index, sample.seed)
     rays_out.pixel_key[i] = pixel_key_of(number, sample.seed)
     rays_out.sample[i] = sample.index
+
+
+@wp.kernel
+def start_rays(
+    start: int,
+    cameras: wp.array[CameraData],
+    samples: wp.array[SampleData],
+    listed: ListedRays,
+    rays_out: RayData,
+):
+    """Per ray: starts the ray of a camera's pixel, or of an entry of ``listed`` if the list is not empty.
+
+    Rays outside the window, after the end of the list, or outside a fisheye's image circle are inactive.
+    """
+    start_ray(start + wp.tid(), cameras[0], samples[0], listed, rays_out)
 
 
 @wp.kernel
@@ -86,3 +96,44 @@ def load_rays(
     rays_out.sample_key[i] = sample_key_of(first + i, sample.index, sample.seed)
     rays_out.pixel_key[i] = pixel_key_of(first + i, sample.seed)
     rays_out.sample[i] = sample.index
+
+
+TILES = wp.get_module(f"{__name__}.tiles")
+# The loop over lanes must stay a loop for the vectoriser.
+wp.set_module_options({"enable_backward": False, "max_unroll": 4}, TILES)
+
+
+@wp.kernel(module=TILES)
+def start_rays_tiles(
+    start: int,
+    cameras: wp.array[CameraData],
+    samples: wp.array[SampleData],
+    listed: ListedRays,
+    rays_out: RayData,
+):
+    """Per 16 rays: starts the rays that ``start_rays`` starts."""
+    first = LANES * (start + wp.tid())
+    camera = cameras[0]
+    sample = samples[0]
+    if listed.ray or not is_plain_pinhole(camera):
+        for i in range(first, wp.min(first + LANES, rays_out.t_max.shape[0])):
+            start_ray(i, camera, sample, listed, rays_out)
+        return
+    storage = PinholeStorage()
+    lanes = pinhole_lanes(storage)
+    corner = full_pixel_of_ray(camera, first)
+    start_lanes(camera, sample, corner[0], corner[1], lanes)
+    for lane in range(LANES):
+        i = first + lane
+        at = full_pixel_of_ray(camera, i)
+        rays_out.is_active[i] = is_in_window(camera, at[0], at[1])
+        rays_out.origin[i] = camera.eye
+        rays_out.direction[i] = wp.vec3(lanes.direction[0, lane], lanes.direction[1, lane], lanes.direction[2, lane])
+        rays_out.t_min[i] = lanes.t_min[lane]
+        rays_out.normal[i] = wp.vec3(0.0)
+        rays_out.t_max[i] = wp.inf
+        rays_out.path_length[i] = 0.0
+        rays_out.spread[i] = lanes.spread[lane]
+        rays_out.sample_key[i] = lanes.sample_key[lane]
+        rays_out.pixel_key[i] = lanes.pixel_key[lane]
+        rays_out.sample[i] = sample.index

@@ -22,10 +22,9 @@ class CameraRays:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
-    @staticmethod
-    def modules() -> list[KernelModule]:
+    def modules(self) -> list[KernelModule]:
         """Returns the modules of the kernels that this class launches."""
-        return [kernels]
+        return [kernels if self._launcher.is_parallel else kernels.TILES]
 
     def start(self, scene: DeviceScene, listed: ListedRays | None = None, *, of_splats: bool = False) -> RayData:
         """Returns the rays of the scene's current sample, in square blocks of pixels.
@@ -40,7 +39,10 @@ class CameraRays:
         rays = self._buffers.struct("camera.splat_rays" if of_splats else "camera.rays", RayData, count)
         inputs = scene.splat_camera if of_splats else scene.camera, scene.sample, listed or ListedRays()
         with self._launcher.stage("rays"):
-            self._launcher.run_banded(kernels.start_rays, count, *inputs, rays)
+            if self._launcher.is_parallel:
+                self._launcher.run_banded(kernels.start_rays, count, *inputs, rays)
+            else:
+                self._launcher.run_banded(kernels.start_rays_tiles, -(-count // PACKET_RAYS), *inputs, rays)
         return rays
 
 
