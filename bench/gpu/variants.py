@@ -29,10 +29,10 @@ from bench.gpu.kernel_times import KernelLauncher, counted_load_of, counts
 from bench.gpu.worker import Finding, Setting
 from bench.presets import Preset, synthetic
 from lumisplat.constants import TRAVERSE_STACK_SMALL
-from lumisplat.device.bvh.packet import packet_of
+from lumisplat.device.bvh.packet import child_entries, packet_of
 from lumisplat.device.gaussian.packet_tracing import packet_tracing_of
-from lumisplat.device.structs.bvh import Node, Particle
-from lumisplat.renderer.trace import gaussian_trace_kernels
+from lumisplat.device.structs.bvh import Node, Particle, Slabs
+from lumisplat.renderer.trace import gaussian_trace_kernels, seen_gaussian_kernels
 from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kernel
 from lumisplat.runtime.launcher import block_threads
 
@@ -112,17 +112,35 @@ def thread_block(threads: int, blocks: int) -> Variant:
     return Variant(f"{threads} threads, {blocks} blocks", {f"{TRACER}:PACKET_BOUNDS": (threads, blocks)})
 
 
+@wp.func
+def whole_node_entries(  # noqa: PLR0917
+    nodes: wp.array[Node], link: int, group: int, slabs: Slabs, begin: float, hit_distance: int, end: float
+):
+    """Returns what ``child_entries_of_group`` does; each thread tests all children, as threads on their own do."""
+    return child_entries(nodes, link, slabs, begin, hit_distance, end)
+
+
+TESTED_ALONE = {"lumisplat.device.bvh.packet:child_entries_of_group": whole_node_entries}
+COLORS_PER_HIT = {"lumisplat.renderer.trace.gaussian_trace:SEEN_RAYS": np.inf}
 STOCHASTIC = replace(TRACED.config, trace=ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT))
 GROUPS = {
     group.name: group
     for group in (
-        replace(TRACED, name="hit lists", variants=(Variant("code"), *map(hit_list, (16, 24, 48)))),
+        replace(TRACED, name="hit lists", variants=(Variant("code"), *map(hit_list, (16, 24, 48, 64)))),
         replace(
             TRACED,
             name="thread blocks",
             variants=(Variant("code"), thread_block(128, 3), thread_block(128, 6), thread_block(256, 2)),
         ),
         replace(TRACED, name="stochastic hit", config=STOCHASTIC),
+        replace(TRACED, name="node tests", variants=(Variant("code"), Variant("alone", TESTED_ALONE))),
+        replace(
+            TRACED,
+            name="colours",
+            kernels=lambda: [*TRACED.kernels(), seen_gaussian_kernels.see_gaussians],
+            variants=(Variant("code"), Variant("per hit", COLORS_PER_HIT)),
+            tolerance=1e-5,
+        ),
     )
 }
 """Groups by name; the first variant of each is the code as it stands."""
