@@ -27,6 +27,8 @@ LAYERS = ("albedo", "reflection", "hits", "light_direct", "light_shadow", "light
 ALL_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
 WARM_FRAMES = 3
 """Frames until graphs are replayed: one direct with new buffers, one direct, one captured."""
+REALTIME_WARM_FRAMES = 7
+"""Frames until graphs are replayed for even and for odd frames of a real-time sequence."""
 STOCHASTIC = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
 SHARED = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
 
@@ -220,6 +222,35 @@ def test_graph_captured_with_little_glass_is_replaced_when_glass_fills_the_view(
     assert pair.launches_of(shown, near) == 0
     for view in (far, far, far, near, far):
         pair.launches_of(shown, view)
+
+
+def realtime_camera(number: int, distance: float = 2.1) -> ls.Camera:
+    """Returns a camera that moves from frame to frame."""
+    return ls.Camera.look_at((0.3 + 0.01 * number, 1.1, -distance), (0.1, 0.2, 0.6), width=48, height=32, fov_y=0.9)
+
+
+def test_realtime_frames_replay_graphs_while_camera_objects_and_lights_move() -> None:
+    """Replayed frames equal directly launched ones to the bit, also in frames in which cached lighting fades."""
+    pair, shown = Pair(config(ls.Pipeline.REALTIME, aovs=("direct_diffuse",))), scene(*LIGHTS, ENVIRONMENT)
+    for number in range(REALTIME_WARM_FRAMES):
+        pair.launches_of(shown, realtime_camera(number))
+    for number, change in enumerate((None, moved, None, moved, moved), start=REALTIME_WARM_FRAMES):
+        launches = pair.launches_of(change(shown) if change else shown, realtime_camera(number))
+        assert launches <= 1, "only the tree over the meshes is refitted outside of graphs"
+
+
+def test_realtime_graphs_are_recorded_anew_when_glass_fills_the_view() -> None:
+    """Reflections that fill the view exceed the capacities of the graph; the frame is drawn again, and complete."""
+    pair, shown = Pair(config(ls.Pipeline.REALTIME)), scene(*LIGHTS)
+    far = ls.Camera.look_at((0.1, 1.0, -9.0), (0.8, 0.35, 1.0), width=96, height=64, fov_y=0.8)
+    near = ls.Camera.look_at((-0.3, 0.35, -0.8), (-0.3, 0.3, 0.0), width=96, height=64, fov_y=0.8)
+    for _ in range(REALTIME_WARM_FRAMES):
+        pair.launches_of(shown, far)
+    assert pair.launches_of(shown, near) > 0
+    for _ in range(REALTIME_WARM_FRAMES):
+        pair.launches_of(shown, near)
+    for view in (near, far, near):
+        assert pair.launches_of(shown, view) == 0
 
 
 def refusing(work: Callable[..., object], *refused: tuple[object, str]) -> Callable[..., object]:

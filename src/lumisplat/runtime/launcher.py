@@ -161,6 +161,8 @@ class Launcher:
         launch stops."""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
+        self.is_recording = False
+        """True while `replay` records a CUDA graph: nothing runs yet, so counts must not be read back."""
         self._loaded: dict[int, KernelModule] = {}
         """Loaded modules by ``id``; the reference to the module keeps the id from being reused."""
         self._banded: set[object] = set()
@@ -364,11 +366,19 @@ class Launcher:
             self._graphs[name] = _Replayed(key)
             return result
         if replayed.graph is None:
-            with wp.ScopedCapture(device=self.device) as capture:
+            with self._recording(), wp.ScopedCapture(device=self.device) as capture:
                 replayed.result = work()
             replayed.graph = capture.graph
         wp.capture_launch(replayed.graph)  # pyright: ignore[reportArgumentType]
         return cast(Result, replayed.result)
+
+    @contextmanager
+    def _recording(self) -> Generator[None]:
+        self.is_recording = True
+        try:
+            yield
+        finally:
+            self.is_recording = False
 
     def drop_graphs(self) -> None:
         """Frees all graphs and their return values."""

@@ -13,6 +13,7 @@ from lumisplat.renderer.scene.motion import OUTDATED_HISTORY_WEIGHT
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.radiance_cache_oracle import Cell, RadianceCacheOracle, Samples, cell_at
 from support.scenes.cache_rig import CacheRig, made_samples, on_floor, unit
+from support.scenes.gi_surfaces import sequence_row
 
 
 def anywhere(rng: np.random.Generator, count: int, **fields: Any) -> Samples:
@@ -86,7 +87,7 @@ def run_frames(rig: CacheRig, *, frames: int = 8) -> dict[str, np.ndarray]:
         rig.insert(made_samples(on_floor(rng, 3000, size, (10.0 * frame, 0.0)), from_eye=6.0), frame)
         rig.insert(anywhere(rng, 1500), frame)
         rig.bounce(frame, lambda host: (anywhere(rng, len(host["key"])), True))
-        rig.cache.evict(frame)
+        rig.evict(frame)
     return state(rig) | {"seen": rig.look_up(anywhere(rng, 500))} | rig.points(frames)[1]
 
 
@@ -167,7 +168,7 @@ def test_radiance_cache_matches_the_reference_after_a_light_change(share: float)
         host = rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
         add_reference_bounces(reference, host, hits, [floor])
         if frame == 2:
-            rig.cache.outdate(share)
+            rig.cache.outdate(sequence_row(0, share))
             reference.outdate(share)
         assert np.abs(rig.look_up(probes) - reference.look_up(probes)).max() < 3e-6
         assert np.abs(rig.look_up_indirect(probes) - reference.look_up_indirect(probes)).max() < 3e-6

@@ -10,6 +10,7 @@ import pytest
 from lumisplat.renderer.scene.motion import OUTDATED_HISTORY_WEIGHT
 from support.oracles.radiance_cache_oracle import Samples
 from support.scenes.cache_rig import UP, CacheRig, cosine_directions, made_samples, on_floor
+from support.scenes.gi_surfaces import sequence_row
 
 WIDTH = 4.0
 """Width of the rooms: four cells."""
@@ -61,7 +62,7 @@ def test_radiance_cache_bounces_between_two_plates_match_the_closed_form(frames:
     for frame in range(frames):
         rig.insert(sampled(on_plates(rng, 1500)), frame)
         rig.bounce(frame, lambda host: (sampled(between_plates(rng, host)), True))
-        rig.cache.evict(frame)
+        rig.evict(frame)
     probes = sampled(on_plates(rng, 2000))
     found, is_upper = rig.look_up(probes), probes.position[:, 2] > 1
     truth = emission[0] / (1 - lower * upper)
@@ -138,7 +139,7 @@ def test_radiance_cache_of_a_closed_room_converges_to_all_bounces(albedo: float)
             return made_samples(position, normal=normal, albedo=albedo, distance=distance), True
 
         rig.bounce(frame, hits)
-        rig.cache.evict(frame)
+        rig.evict(frame)
     position, normal = on_walls(rng, 3000)
     for distance in (0.1, 10.0):
         found = rig.look_up(made_samples(position, normal=normal, albedo=albedo, distance=distance))
@@ -254,7 +255,7 @@ def test_outdated_light_in_the_radiance_cache_stays_until_new_samples_replace_it
     rig = CacheRig()
     position = on_floor(rng, 3000, 8.0)
     lit_floor(rig, position, range(40), 1.0)
-    rig.cache.outdate(OUTDATED_HISTORY_WEIGHT)
+    rig.cache.outdate(sequence_row(0, OUTDATED_HISTORY_WEIGHT))
     assert rig.look_up(made_samples(position)) == pytest.approx(1.5, rel=1e-6), "outdated means are kept until replaced"
     _, host = rig.points(40)
     cells = {*zip(host["slot"][host["is_active"]], host["cell"][host["is_active"]], strict=True)}
@@ -310,7 +311,7 @@ def flown(frames: int, *, bounces: int) -> np.ndarray:
         far = np.array([1000.0, 0.0, 0.0])
         wall = made_samples(np.broadcast_to(far, (bounces, 3)), radiance=2.0, distance=0.1)
         rig.bounce(frame, lambda _, wall=wall: (wall, True), inserts=False)
-        rig.cache.evict(frame)
+        rig.evict(frame)
         means.append(float(rig.look_up(lit(probes)).mean()))
     return np.array(means)
 

@@ -27,7 +27,7 @@ def test_radiance_cache_evicts_a_tile_the_configured_number_of_frames_after_its_
     rig.insert(made_samples(tile_row(0, 20), radiance=2.0), 0)
     for frame in range(1, 15):
         rig.insert(made_samples(tile_row(0, 5), radiance=2.0), frame)
-        rig.cache.evict(frame)
+        rig.evict(frame)
         assert rig.statistics.tiles == (20 if frame < 10 else 5)
     probes = made_samples(tile_row(0, 20), radiance=0.0)
     assert rig.look_up(probes)[:, 0].tolist() == [2.0] * 5 + [0.0] * 15
@@ -44,7 +44,7 @@ def test_slot_of_an_evicted_radiance_cache_tile_is_empty_for_the_next_tile() -> 
         above = np.full((rig.config.bounces, 3), 1000.0)
         source = made_samples(above, radiance=1.0 if frame < 6 else 0.0, distance=0.1)
         rig.bounce(frame, lambda _, source=source: (source, True), inserts=False)
-        rig.cache.evict(frame)
+        rig.evict(frame)
         found = rig.look_up(made_samples(position))
         assert found == pytest.approx(frame + 0.5 * (frame < 6), rel=1e-6)
 
@@ -55,12 +55,12 @@ def test_full_radiance_cache_evicts_tiles_that_were_unused_for_longest_first(cap
     with caplog.at_level(logging.WARNING, "lumisplat"):
         for frame in range(8):
             rig.insert(made_samples(tile_row(8 * frame, 8), radiance=1.0), frame)
-            rig.cache.evict(frame)
+            rig.evict(frame)
         assert rig.statistics.tiles == 64 and rig.statistics.evicted == 0 and not caplog.records
         rig.insert(made_samples(tile_row(0, 4)), 8)  # uses the first four tiles again
         for frame in (9, 10):
             rig.insert(made_samples(tile_row(10 * frame, 10)), frame)
-            rig.cache.evict(frame)
+            rig.evict(frame)
     assert [record.message for record in caplog.records] == [
         "the radiance cache is full: 10 tiles were evicted, 0 could not be added; set realtime.cache.tiles above 64"
     ]
@@ -94,7 +94,7 @@ def test_radiance_cache_memory_is_constant_over_1000_frames() -> None:
         rig.insert(made_samples(position), frame)
         far = made_samples(np.full((rig.config.bounces, 3), 1e4))
         rig.bounce(frame, lambda _, far=far: (far, True))
-        rig.cache.evict(frame)
+        rig.evict(frame)
         rig.look_up(made_samples(position))
         if frame >= 2:
             held.add((rig.buffers.bytes, rig.buffers.allocations))

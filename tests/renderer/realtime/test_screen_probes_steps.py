@@ -19,7 +19,7 @@ from lumisplat.runtime.buffers import device_array
 from support.oracles import screen_probe_oracle as oracle
 from support.oracles.means_oracle import mean_weight
 from support.probes.probe_octahedral_kernels import probe_light
-from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows, visible_box, visible_plane
+from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows, sequence_row, visible_box, visible_plane
 from support.scenes.probe_sequence import ProbeSequence, constant
 
 CELLS = 64
@@ -169,7 +169,7 @@ def test_screen_probe_rays_start_above_their_surface() -> None:
     for extent, share in ((0.0, 0.5), (0.004, 1.0)):
         sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0])), visible_box(box_camera(), extent)
         sequence.place(surfaces)
-        rays = sequence.probes.rays(0)
+        rays = sequence.probes.rays()
         active = device_array(rays.is_active).numpy()
         assert active.mean() == pytest.approx(share, abs=0.03)
         heights = 0.5 - np.abs(device_array(rays.origin).numpy()[active]).max(axis=1)
@@ -227,7 +227,7 @@ def test_outdated_light_of_a_screen_probe_cell_stays_until_its_next_ray_replaces
     for _ in range(12):
         sequence.render(surfaces)
     sequence.place(surfaces)
-    sequence.probes.outdate(OUTDATED_HISTORY_WEIGHT)
+    sequence.probes.outdate(sequence_row(0, OUTDATED_HISTORY_WEIGHT))
     sequence.tracer = constant([np.nan] * 3)
     sequence.trace()
     np.testing.assert_allclose(sequence.look_up(surfaces), np.broadcast_to(np.pi * old, (160 * 96, 3)), rtol=4e-6)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Any
 
+import pytest
+import warp as wp
+
+from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher, Result
 
 
@@ -43,3 +48,29 @@ class GraphLauncher(Launcher):
         self.draws += 1
         assert self.draws < 1000, "is a frame drawn again from a stale graph, for ever?"
         return super().replay(name, key, work)
+
+    @contextmanager
+    def _recording(self) -> Generator[None]:
+        """Fails if work that is recorded allocates, reads an array back, or copies from memory of the host.
+
+        CUDA would refuse the first two. A graph would copy the last one again in each replay, from freed memory.
+        """
+        with super()._recording(), pytest.MonkeyPatch.context() as patched:
+            patched.setattr(wp.array, "numpy", _refused("read back"))
+            patched.setattr(Buffers, "_allocate", _refused("allocated"))
+            patched.setattr(wp.array, "assign", _assigned_from_device)
+            yield
+
+
+def _refused(what: str) -> Callable[..., None]:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError(f"an array is {what} while a graph is recorded")
+
+    return refuse
+
+
+def _assigned_from_device(target: Any, source: Any) -> None:
+    """Copies a device array to another; fails if the source is a NumPy array, or borrows memory of one."""
+    owner = getattr(source, "deleter", None), getattr(source, "_ref", None)
+    assert owner != (None, None), "memory of the host is copied while a graph is recorded"
+    wp.copy(target, source)

@@ -20,6 +20,7 @@ from lumisplat.renderer.realtime.radiance_cache import RadianceCache
 from lumisplat.runtime.buffers import Buffers, bytes_of, device_array
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.radiance_cache_oracle import Samples
+from support.scenes.gi_surfaces import sequence_row
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -113,7 +114,12 @@ class CacheRig:
 
     def insert(self, samples: Samples, frame: int, active: Any = True) -> None:
         """Adds samples to the cache."""
-        self.cache.insert(self.upload("samples", samples, active), frame)
+        self.cache.insert(self.upload("samples", samples, active), sequence_row(frame))
+
+    def evict(self, frame: int) -> None:
+        """Ends a frame."""
+        self.cache.evict(sequence_row(frame))
+        self.cache.warn_of_overflow()
 
     def look_up(self, samples: Samples, active: Any = True) -> np.ndarray:
         """Returns the radiance of samples, shape (N, 3)."""
@@ -125,7 +131,7 @@ class CacheRig:
 
     def points(self, frame: int) -> tuple[CachePoints, dict[str, np.ndarray]]:
         """Returns the points of a frame's bounces, and their fields on the host."""
-        points = self.cache.bounce_points(frame)
+        points = self.cache.bounce_points(sequence_row(frame))
         return points, {name: getattr(points, name).numpy().copy() for name in CachePoints.vars}  # pyright: ignore
 
     def bounce(self, frame: int, hits_of: Any, *, inserts: bool = True) -> dict[str, np.ndarray]:
@@ -134,7 +140,7 @@ class CacheRig:
         hits, active = hits_of(host)
         uploaded = self.upload("hits", hits, active & host["is_active"])
         if inserts:
-            self.cache.insert(uploaded, frame)
+            self.cache.insert(uploaded, sequence_row(frame))
         self.cache.add_bounces(points, uploaded)
         return host
 

@@ -16,7 +16,7 @@ from lumisplat.renderer.realtime.light_filter import LightFilter
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
-from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows
+from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows, sequence_row
 
 Mask = npt.NDArray[np.bool_]
 
@@ -60,7 +60,9 @@ class FilterSequence:
         now = seen.upload()
         scene = SimpleNamespace(
             camera=camera_rows(seen.camera, offset=seen.offset),
-            motion=SimpleNamespace(camera=camera_rows(before.camera), history_weight=self.history_weight),
+            motion=SimpleNamespace(
+                camera=camera_rows(before.camera), sequence=sequence_row(self.frame, self.history_weight)
+            ),
             image_size=(seen.camera.width, seen.camera.height),
         )
         surfaces = PixelSurfaces(1, now, self._before or now)

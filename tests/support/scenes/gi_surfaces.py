@@ -9,10 +9,11 @@ import numpy.typing as npt
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.gi.surfaces import SurfacePixels
+from lumisplat.device.gi.surfaces import SequenceData, SurfacePixels
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.renderer.scene.camera_table import CENTER, camera_table
-from lumisplat.runtime.struct_tables import table_dtype
+from lumisplat.runtime.buffers import DeviceArray
+from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 
 Doubles = npt.NDArray[np.float64]
 
@@ -43,6 +44,13 @@ class VisibleSurfaces:
             setattr(pixels, name, wp.array(getattr(self, name).astype(np.float32), dtype=wp.vec3, device=device))
         pixels.albedo = wp.array(albedo.astype(np.float32), dtype=wp.vec3, device=device)
         return pixels
+
+
+def sequence_row(frame: int, history_weight: float = 1.0) -> DeviceArray:
+    """Returns a frame's number and weight of cached lighting as kernels read them."""
+    row = SequenceData()
+    row.frame, row.history_weight = frame, history_weight
+    return upload_structs([row], SequenceData, "cpu")
 
 
 def camera_rows(camera: ls.Camera, device: str = "cpu", offset: tuple[float, float] = CENTER) -> wp.array[CameraData]:

@@ -42,12 +42,13 @@ class ProbeSequence:
         camera = surfaces.camera
         before = camera_rows(self._before or camera)
         size = camera.width, camera.height
-        self.probes.place(surfaces.upload(), camera_rows(camera), before, size, self.frame)
+        self.probes.begin(size, self.frame)
+        self.probes.place(surfaces.upload(), camera_rows(camera), before)
         self._before = camera
 
     def trace(self) -> None:
         """Traces the rays of the frame, and adds their radiance to the probes."""
-        rays = self.probes.rays(self.frame)
+        rays = self.probes.rays()
         active = device_array(rays.is_active).numpy()
         origins = device_array(rays.origin).numpy()[active].astype(float)
         directions = device_array(rays.direction).numpy()[active].astype(float)

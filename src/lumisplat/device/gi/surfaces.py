@@ -68,6 +68,16 @@ class SurfacePixels:
 
 
 @struct
+class SequenceData:
+    """Number of a frame in its real-time sequence, and how far cached lighting is valid, in a 1-element array."""
+
+    frame: int
+    """Number of the frame, from 0."""
+    history_weight: float
+    """Factor on the weight of cached lighting in this frame, 0..1; 1 unless lighting has changed."""
+
+
+@struct
 class InstanceMotion:
     """Motion since the previous frame of one splat or mesh instance, in the order of the scene's instances."""
 

@@ -48,8 +48,7 @@ class WhittedIntegrator:
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """Returns the camera rays with their radiance over all bounces.
 
-        On CUDA, the rays of each bounce (a wave) are shaded by a recorded CUDA graph. The host waits for the number of
-        rays of each bounce, to allocate them.
+        CUDA replays a recorded CUDA graph of all bounces.
 
         Args:
             scene: The device scene, synced.
@@ -59,41 +58,31 @@ class WhittedIntegrator:
         """
         self._direct_light.begin_sample(sample)
         with self._launcher.stage("light" if plan.is_lit else "bounce"):
-            waves, sizes = [self._first_wave(scene, plan, hits)], [hits.count]
-            while capacity := self._branch_capacity(waves[-1]):
-                sizes.append(capacity)
-                waves.append(self._next_wave(scene, plan, waves[-1], sizes))
-            if len(waves) > 1:
-                self._launcher.replay("gather", (scene.graph_key, sizes), lambda: self._gather(scene, waves))
-        return waves[0]
+            while True:
+                key = scene.graph_key, hits.graph_key, self._specular.graph_key
+                first = self._launcher.replay("light", key, lambda: self._follow(scene, plan, hits))
+                if plan.max_bounces == 0 or self._specular.finish():
+                    return first
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """Returns the direct light of each light at the primary hits, if the frame requests it."""
         return self._direct_light.images(scene, plan, hits.count)
 
-    def _first_wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
-        """Returns the camera rays with their emission and direct light."""
-        return self._launcher.replay(
-            "wave 0", (scene.graph_key, hits.count), lambda: self._shade_wave(scene, plan, hits, 0)
-        )
+    def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
+        """Shades the camera rays, and the rays of each bounce; returns the camera rays with all radiance."""
+        waves = [self._shade_wave(scene, plan, hits, 0)]
+        while waves[-1].row.may_branch and (capacity := self._specular.capacity(waves[-1])):
+            waves.append(self._next_wave(scene, plan, waves[-1], capacity))
+        for near, far in reversed(list(itertools.pairwise(waves))):
+            self._specular.gather(scene, near, far)
+        return waves[0]
 
-    def _next_wave(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sizes: list[int]) -> RayWave:
-        """Returns the reflected and refracted rays that branch off ``wave``, with their emission and direct light.
-
-        Args:
-            scene: The device scene.
-            plan: Plan of the frame.
-            wave: The rays of the last bounce.
-            sizes: Number of rays allocated for each bounce, up to the new one.
-        """
-        number = len(sizes) - 1
-
-        def work() -> RayWave:
-            rays, carried = self._specular.spawn(scene, plan, wave, sizes[number])
-            hits = self._tracer.find_hits(scene, rays, "wave", bounced=plan.has_lobes and number == 1)
-            return self._shade_wave(scene, plan, hits, number, carried)
-
-        return self._launcher.replay(f"wave {number}", (scene.graph_key, list(sizes)), work)
+    def _next_wave(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, capacity: int) -> RayWave:
+        """Returns the rays that leave ``wave``, up to ``capacity``, with their emission and direct light."""
+        number = wave.number + 1
+        rays, carried = self._specular.spawn(scene, plan, wave, capacity)
+        hits = self._tracer.find_hits(scene, rays, "wave", bounced=plan.has_lobes and number == 1)
+        return self._shade_wave(scene, plan, hits, number, carried)
 
     def _shade_wave(
         self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, carried: CarriedState | None = None
@@ -106,12 +95,3 @@ class WhittedIntegrator:
         if may_branch:
             self._specular.number(wave)
         return wave
-
-    def _branch_capacity(self, wave: RayWave) -> int:
-        """Returns how many rays to allocate for the next bounce; 0 if none branches off or the limit is reached."""
-        return self._specular.capacity(wave) if wave.row.may_branch else 0
-
-    def _gather(self, scene: DeviceScene, waves: list[RayWave]) -> None:
-        """Adds the radiance of reflected and refracted rays to their parent rays, from the last bounce to the first."""
-        for near, far in reversed(list(itertools.pairwise(waves))):
-            self._specular.gather(scene, near, far)

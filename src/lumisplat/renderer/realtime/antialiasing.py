@@ -19,7 +19,8 @@ class Antialiasing:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._has_history = False
+        self.has_history = False
+        """True if an earlier frame of the sequence has images."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
@@ -28,7 +29,7 @@ class Antialiasing:
 
     def reset(self) -> None:
         """Drops the images averaged over earlier frames."""
-        self._has_history = False
+        self.has_history = False
 
     def average(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, layers: dict[str, DeviceArray], frame: int
@@ -42,15 +43,13 @@ class Antialiasing:
         pixels = self._buffers.struct("antialiasing.pixels", TemporalPixels, width * height)
         shares = self._buffers.get("antialiasing.shares", wp.vec3, wave.count)
         before, now = (self._history(scene, number) for number in (frame - 1, frame))
-        if not self._has_history:
+        if not self.has_history:
             device_array(before.frames).zero_()
-        self._has_history = True
+        self.has_history = True
         motion = scene.motion
         inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
         self._run(kernels.store_pixels, wave.count, *inputs, wave.data, pixels, shares)
-        self._run(
-            kernels.weight_history, width * height, size, motion.history_weight, motion.moved_to, before, pixels, now
-        )
+        self._run(kernels.weight_history, width * height, size, motion.sequence, motion.moved_to, before, pixels, now)
         images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
         images |= {name: image for name, image in layers.items() if name in plan.aovs}
         images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_catchers else {}

@@ -7,6 +7,7 @@ from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.film.samples import first_surface, is_finite
 from lumisplat.device.gi.surfaces import (
     InstanceMotion,
+    SequenceData,
     TemporalHistory,
     TemporalPixels,
     has_left,
@@ -210,7 +211,7 @@ def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], me
 def weight_history(
     start: int,
     size: wp.vec2i,
-    history_weight: float,
+    sequence: wp.array[SequenceData],
     moved_to: wp.array[int],
     history: TemporalHistory,
     pixels_inout: TemporalPixels,
@@ -221,7 +222,7 @@ def weight_history(
     Args:
         start: Offset added to the thread index.
         size: Width and height of the images.
-        history_weight: Factor on the number of frames of every history; 1 unless lights or objects have changed.
+        sequence: Weight of cached lighting, a factor on the number of frames of every history.
         moved_to: Index in this frame of each instance of the previous frame; UNMOVED (-1): it stood still; GONE (-2):
             it was removed.
         history: History of the previous frame.
@@ -250,7 +251,7 @@ def weight_history(
         near_y = int(wp.round(position[1]))
         if near_x >= 0 and near_x < size[0] and near_y >= 0 and near_y < size[1]:
             tap = near_y * size[0] + near_x
-            frames = history_weight * history.frames[tap]
+            frames = sequence[0].history_weight * history.frames[tap]
             if position[0] != float(near_x) or position[1] != float(near_y):
                 frames = wp.min(frames, MOVING)
             if frames > 0.0 and has_left(history.instance[tap], instance, moved_to):

@@ -32,7 +32,8 @@ class GBuffer:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._kinds_before: tuple[int, ...] = ()
+        self.kinds_before: tuple[int, ...] = ()
+        """Kinds of surfaces that the previous frame of the sequence has stored."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
@@ -41,19 +42,19 @@ class GBuffer:
 
     def reset(self) -> None:
         """Begins a new sequence of frames, which has no previous frame."""
-        self._kinds_before = ()
+        self.kinds_before = ()
 
     def store(self, scene: DeviceScene, wave: RayWave, frame: int) -> list[PixelSurfaces]:
         """Stores the surfaces that camera rays hit; returns the splat and the mesh surfaces, if the scene has them."""
         kinds = (SPLATS,) * (scene.gaussian_count > 0) + (MESHES,) * (scene.triangle_count > 0)
         with self._launcher.stage("gbuffer"):
             surfaces = [self._store(scene, wave, frame, kind) for kind in kinds]
-        self._kinds_before = kinds
+        self.kinds_before = kinds
         return surfaces
 
     def _store(self, scene: DeviceScene, wave: RayWave, frame: int, kind: int) -> PixelSurfaces:
         now, before = self._pixels(scene, kind, frame), self._pixels(scene, kind, frame + 1)
-        if kind not in self._kinds_before:
+        if kind not in self.kinds_before:
             device_array(before.share).zero_()
         run, motion = self._launcher.run_banded, scene.motion
         if kind == SPLATS:

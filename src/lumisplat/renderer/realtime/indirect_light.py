@@ -65,7 +65,11 @@ class IndirectLight:
         self.cache.reset()
         self.probes.reset()
 
-    def start_lobes(self, scene: DeviceScene, wave: RayWave, frame: int) -> tuple[LobeRays, RayData | None]:
+    def begin_frame(self, size: tuple[int, int], frame: int) -> None:
+        """Begins frame ``frame`` of an image of ``size`` (width, height)."""
+        self.probes.begin(size, frame)
+
+    def start_lobes(self, scene: DeviceScene, wave: RayWave) -> tuple[LobeRays, RayData | None]:
         """Starts rays within the specular lobes of the surfaces at pixels, before later rays overwrite the surfaces.
 
         Returns:
@@ -79,7 +83,7 @@ class IndirectLight:
             device_array(lobes.slot).fill_(-1)
             return lobes, None
         follows, ends = (self._buffers.get(f"lobes.{name}", wp.int32, squares) for name in ("follows", "ends"))
-        run(ray_kernels.choose_lobes, squares, frame, scene.camera, wave.data, lobes, follows)
+        run(ray_kernels.choose_lobes, squares, scene.motion.sequence, scene.camera, wave.data, lobes, follows)
         prefix_sum(follows, ends, inclusive=True)
         capacity = self._launcher.capacity_of(ends)
         if capacity == 0:
@@ -95,7 +99,6 @@ class IndirectLight:
         plan: FramePlan,
         surfaces: list[PixelSurfaces],
         lobes: tuple[LobeRays, RayData | None],
-        frame: int,
     ) -> list[SurfaceLight]:
         """Computes a frame's indirect light, separately on splat surfaces and on mesh surfaces.
 
@@ -104,30 +107,28 @@ class IndirectLight:
             plan: Plan of the frame.
             surfaces: Splat surfaces and mesh surfaces of the pixels, as far as the scene has them.
             lobes: Result of `start_lobes`: rays within the highlights of the surfaces.
-            frame: Number of the frame.
         """
+        sequence = scene.motion.sequence
         with self._launcher.stage("probes"):
             larger = self._larger(surfaces)
-            self.probes.place(larger, scene.camera, scene.motion.camera, scene.image_size, frame)
-            if scene.motion.history_weight < 1.0:
-                self.probes.outdate(scene.motion.history_weight)
-                self.cache.outdate(scene.motion.history_weight)
-            rays = self.probes.rays(frame)
+            self.probes.place(larger, scene.camera, scene.motion.camera)
+            if self._launcher.is_parallel or scene.motion.history_weight < 1.0:
+                self.probes.outdate(sequence)
+                self.cache.outdate(sequence)
+            rays = self.probes.rays()
         hits = self._rays.trace(scene, plan, rays, "probe_rays", hits_emitters=False)
-        self.cache.insert(hits.samples, frame)
-        self._bounce(scene, plan, frame)
+        self.cache.insert(hits.samples, sequence)
+        self._bounce(scene, plan)
         reflected = self.cache.look_up(hits.samples)
         with self._launcher.stage("probes"):
             self.probes.update(*self._rays.radiance(hits, reflected, "probe_rays"))
-        lobe_rays = self._follow_lobes(scene, plan, *lobes, frame)
+        lobe_rays = self._follow_lobes(scene, plan, *lobes)
         with self._launcher.stage("probes"):
             light = [self._gathered(scene, kind, lobe_rays) for kind in surfaces]
-        self.cache.evict(frame)
+        self.cache.evict(sequence)
         return light
 
-    def _follow_lobes(
-        self, scene: DeviceScene, plan: FramePlan, lobes: LobeRays, rays: RayData | None, frame: int
-    ) -> LobeRays:
+    def _follow_lobes(self, scene: DeviceScene, plan: FramePlan, lobes: LobeRays, rays: RayData | None) -> LobeRays:
         """Traces the rays within specular lobes, and stores their radiance in ``lobes``.
 
         Direct light at the rays' hits is sampled. The radiance cache is not read, because its cells would be visible in
@@ -135,21 +136,21 @@ class IndirectLight:
         """
         if rays is not None:
             hits = self._rays.trace(scene, plan, rays, "lobe_rays")
-            self.cache.insert(hits.samples, frame)
+            self.cache.insert(hits.samples, scene.motion.sequence)
             reflected = self.cache.look_up_indirect(hits.samples)
             self._launcher.run_banded(kernels.add_direct, len(rays.t_max), hits.samples, reflected)
             lobes.radiance, _ = self._rays.radiance(hits, reflected, "lobe_rays")
         return lobes
 
-    def _bounce(self, scene: DeviceScene, plan: FramePlan, frame: int) -> None:
+    def _bounce(self, scene: DeviceScene, plan: FramePlan) -> None:
         """Traces rays from cells of the radiance cache to other cells, so that light bounces from cell to cell."""
-        points = self.cache.bounce_points(frame)
+        points = self.cache.bounce_points(scene.motion.sequence)
         count = len(device_array(points.is_active))
         rays = self._buffers.struct("cache.rays", RayData, -(-count // PACKET_RAYS) * PACKET_RAYS)
         with self._launcher.stage("bounced"):
             self._launcher.run_banded(kernels.start_cache_rays, len(rays.t_max), self._offset, points, rays)
         hits = self._rays.trace(scene, plan, rays, "cache_rays")
-        self.cache.insert(hits.samples, frame)
+        self.cache.insert(hits.samples, scene.motion.sequence)
         self.cache.add_bounces(
             points, hits.samples, lambda reflected: self._rays.radiance(hits, reflected, "cache_rays")[0]
         )
@@ -224,14 +225,15 @@ class SecondaryRays:
         carried = CarriedState(device_array(onward.weights), media) if goes_on else None
         marked, mirrored = scene.captured_emitters.marked, device_array(onward.mirrored) if goes_on else None
         dark = None if hits_emitters or marked is None else DarkenedCaptures(marked, mirrored)
-        for _ in range(1 + SPECULAR_WAVES * goes_on):
+        for number in range(1 + SPECULAR_WAVES * goes_on):
             hits = self._tracer.find_hits(scene, rays, name, bounced=True, dark=dark)
             with self._launcher.stage("bounced"):
-                wave = self._surfaces.shade(scene, plan, hits, 1, carried=carried, may_branch=False)
+                table = f"{name}.wave{min(number, 1)}"  # onward rays have the same arrays after each bounce
+                wave = self._surfaces.shade(scene, plan, hits, 1, carried=carried, may_branch=False, table=table)
                 grid = self._grids.of_wave(scene, wave)
                 inputs = not plan.casts_shadows, grid, scene.camera, scene.shading, wave.data, *found, onward
                 run(ray_kernels.shade_hits, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)
-            if not goes_on or not self._any_continues(onward):
+            if not goes_on or not (self._launcher.is_parallel or self._any_continues(onward)):
                 break
             rays = onward.rays
         with self._launcher.stage("bounced"):
@@ -276,7 +278,7 @@ class SecondaryRays:
     def _any_continues(self, onward: OnwardRays) -> bool:
         """Returns whether a smooth surface reflects or transmits any ray onwards.
 
-        The host waits for the answer, because most scenes need few further bounces.
+        The host waits for the answer. CUDA's schedule does not ask, and launches all waves.
         """
         goes_on = device_array(onward.goes_on)
         ends = self._buffers.get("bounced.ends", wp.int32, len(goes_on))

@@ -28,7 +28,8 @@ class LightFilter:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, name: str, shared: int) -> None:
         self._launcher, self._buffers, self._config, self._name = launcher, buffers, config, name
         self._shared = float(shared)
-        self._has_history = False
+        self.has_history = False
+        """True if an earlier frame of the sequence has light."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
@@ -37,7 +38,7 @@ class LightFilter:
 
     def reset(self) -> None:
         """Drops the light averaged over earlier frames."""
-        self._has_history = False
+        self.has_history = False
 
     def filter(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> FilteredLight:
         """Denoises a frame's light samples on ``surfaces`` over frames and neighbouring pixels; returns the light."""
@@ -53,15 +54,14 @@ class LightFilter:
     def _accumulate(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> LightHistory:
         """Reprojects the means of earlier frames, and adds the light samples of this frame."""
         before, now = self._history(scene, frame - 1), self._history(scene, frame)
-        if not self._has_history:
+        if not self.has_history:
             device_array(before.frames).zero_()
-        self._has_history = True
+        self.has_history = True
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
         inputs = surfaces.now, surfaces.before, scene.camera, scene.motion.camera, before, found
         self._run(scene, kernels.reproject, *inputs)
-        settings = float(self._config.frames), scene.motion.history_weight, self._shared
-        inputs = surfaces.now, scene.camera, light, found, now
-        self._run(scene, kernels.accumulate, *settings, *inputs)
+        inputs = float(self._config.frames), self._shared, scene.motion.sequence
+        self._run(scene, kernels.accumulate, *inputs, surfaces.now, scene.camera, light, found, now)
         return now
 
     def _smooth(self, scene: DeviceScene, surfaces: PixelSurfaces, history: LightHistory) -> FilteredLight:

@@ -9,6 +9,7 @@ import warp as wp
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
     LightHistory,
+    SequenceData,
     SurfaceLight,
     SurfacePixels,
     is_near,
@@ -280,8 +281,8 @@ def accumulate(
     start: int,
     size: wp.vec2i,
     frames_max: float,
-    history_weight: float,
     shared: float,
+    sequence: wp.array[SequenceData],
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
     light: SurfaceLight,
@@ -297,8 +298,8 @@ def accumulate(
         start: Offset added to the thread index.
         size: Width and height of the images.
         frames_max: Largest number of frames for which a history counts; older samples then fade.
-        history_weight: Factor on the number of frames of a short history; 1 unless lights or objects have changed.
         shared: Number of pixels that share each sample, and therefore its noise.
+        sequence: Weight of cached lighting, a factor on the number of frames of a short history.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         light: Samples of the frame.
@@ -306,6 +307,7 @@ def accumulate(
         history_out: History with the samples.
     """
     pixel = start + wp.tid()
+    history_weight = sequence[0].history_weight
     pixel_history = with_tap(PixelHistory(), 1.0, pixel, history)
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
         is_young = pixel_history.frames < YOUNG

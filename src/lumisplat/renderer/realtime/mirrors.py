@@ -68,7 +68,20 @@ class Mirrors:
             modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
 
-    def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
+    @property
+    def graph_key(self) -> object:
+        """Numbers of rays after each bounce for which a CUDA graph has room."""
+        return self._specular.graph_key
+
+    def finish(self) -> bool:
+        """Waits for the reflected and refracted rays; False if they exceeded their room. Then draw the frame again."""
+        return self._specular.finish()
+
+    def begin_frame(self, frame: int) -> None:
+        """Begins frame ``frame``: writes its number for shadow rays."""
+        self._direct_light.begin_sample(frame)
+
+    def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave) -> DeviceArray:
         """Adds the radiance of reflections and refractions to the camera rays, ``first``.
 
         Returns:
@@ -77,7 +90,6 @@ class Mirrors:
         added = self._buffers.get("mirrors.added", wp.vec3, first.count)
         before = self._buffers.get("mirrors.before", wp.vec3, first.count)
         before.assign(first.row.radiance.light)
-        self._direct_light.begin_sample(sample)
         waves = self._waves(scene, plan, first)
         for near, far in reversed(list(itertools.pairwise(waves))):
             self._specular.gather(scene, near, far)

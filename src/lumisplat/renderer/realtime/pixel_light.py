@@ -58,7 +58,7 @@ class PixelLights:
         return [*modules, *self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes)]
 
     def sample(
-        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[PixelSurfaces], frame: int
+        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[PixelSurfaces]
     ) -> list[SurfaceLight]:
         """Samples a light for one surface of each pixel that has a sample in this frame.
 
@@ -67,7 +67,6 @@ class PixelLights:
             plan: Plan of the frame.
             wave: The camera rays.
             surfaces: Splat surfaces and mesh surfaces of the pixels, as far as the scene has them.
-            frame: Number of the frame.
 
         Returns:
             Samples on each of ``surfaces``.
@@ -78,11 +77,11 @@ class PixelLights:
             interval = 2  # each sample then traces two rays
         light = self._buffers.struct("pixel_light", PixelLight, count)
         rays = self._buffers.struct("pixel_light.rays", RayData, count)
-        inputs = interval, frame, scene.camera, wave.data
+        inputs = interval, scene.motion.sequence, scene.camera, wave.data
         self._launcher.run_banded(pixel_light_kernels.number_samples, count, *inputs)
         grid = self._grids.of_wave(scene, wave)
         with self._launcher.stage("lights"):
-            inputs = not plan.casts_shadows, interval, frame, grid, scene.camera
+            inputs = not plan.casts_shadows, interval, scene.motion.sequence, grid, scene.camera
             inputs = *inputs, scene.shading, wave.data, light, rays
             self._run(pixel_light_kernels.sample_lights, count, *inputs)
         visibility = self._visibility(scene, plan, rays)
@@ -90,13 +89,16 @@ class PixelLights:
         with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
-    def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: int) -> None:
+    def begin_frame(self, frame: int) -> None:
+        """Begins frame ``frame``: writes its number for shadow rays from shadow catchers."""
+        self._direct_light.begin_sample(frame)
+
+    def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
         """Darkens shadow catchers where lights are blocked.
 
         All interactions that are not on shadow catchers are deleted.
         """
         self._launcher.run_banded(pixel_light_kernels.select_shadow_catchers, 2 * wave.count, wave.data)
-        self._direct_light.begin_sample(sample)
         self._direct_light.add(scene, plan, wave)
 
     def add(

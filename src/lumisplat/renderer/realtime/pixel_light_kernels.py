@@ -7,7 +7,14 @@ import warp as wp
 
 from lumisplat.device.camera.pixels import pixel_number, pixel_of_ray
 from lumisplat.device.gi.light_grid import LightGrid, lit_surface, sample_light_of
-from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight, SurfacePixels, is_sampled_in_frame
+from lumisplat.device.gi.surfaces import (
+    FilteredLight,
+    PixelLight,
+    SequenceData,
+    SurfaceLight,
+    SurfacePixels,
+    is_sampled_in_frame,
+)
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.math.color import is_black
@@ -25,12 +32,19 @@ LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
 
 
 @wp.kernel
-def number_samples(start: int, interval: int, frame: int, camera: wp.array[CameraData], wave_inout: wp.array[WaveData]):
+def number_samples(
+    start: int,
+    interval: int,
+    sequence: wp.array[SequenceData],
+    camera: wp.array[CameraData],
+    wave_inout: wp.array[WaveData],
+):
     """Per ray: if its pixel has a light sample in this frame, gives the sample the next low-discrepancy index.
 
     The index is one into a low-discrepancy sequence. The indices have no gaps.
     """
     i = start + wp.tid()
+    frame = sequence[0].frame
     at = pixel_of_ray(camera[0].width, i)
     if wave_inout[0].rays.is_active[i] and is_sampled_in_frame(at[0], at[1], interval, frame):
         wave_inout[0].rays.sample[i] = (frame + interval - 1) // interval
@@ -41,7 +55,7 @@ def sample_lights(
     start: int,
     no_shadows: bool,
     interval: int,
-    frame: int,
+    sequence: wp.array[SequenceData],
     grid: LightGrid,
     camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
@@ -55,7 +69,7 @@ def sample_lights(
         start: Offset added to the thread index.
         no_shadows: Whether light passes through everything.
         interval: Number of frames from one sample of a pixel to the next, 1 or 2.
-        frame: Number of the frame.
+        sequence: Number of the frame.
         grid: Light grid of the camera rays' surfaces.
         camera: Camera of the frame.
         scene: The scene.
@@ -69,7 +83,7 @@ def sample_lights(
     light_out.diffuse[i] = wp.vec3(0.0)
     light_out.glossy[i] = wp.vec3(0.0)
     at = pixel_of_ray(camera[0].width, i)
-    if not wave[0].rays.is_active[i] or not is_sampled_in_frame(at[0], at[1], interval, frame):
+    if not wave[0].rays.is_active[i] or not is_sampled_in_frame(at[0], at[1], interval, sequence[0].frame):
         return
     slot = lit_surface(i, wave).kind
     light_out.slot[i] = slot

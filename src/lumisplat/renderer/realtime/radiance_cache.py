@@ -49,6 +49,7 @@ class RadianceCache:
     """Cells in world space; each cell stores the mean radiance that the surfaces in the cell reflect.
 
     A tile is a square of 8 x 8 cells that are stored together in a slot of the arrays. Frame numbers never decrease.
+    Methods read the number of the frame from ``sequence``, an array of one SequenceData.
     Array sizes depend on the settings and the samples of a frame; nothing grows with the number of frames.
 
     Args:
@@ -78,12 +79,12 @@ class RadianceCache:
         self._launcher.run_banded(kernels.clear_tiles, self._config.tiles, self.tiles)
         self._has_warned = False
 
-    def outdate(self, share: float) -> None:
-        """Multiplies the weight of all stored means by ``share``, because the light has changed."""
+    def outdate(self, sequence: DeviceArray) -> None:
+        """Multiplies the weight of all stored means by the history weight, because the light has changed."""
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, share, self.tiles)
+            self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, sequence, self.tiles)
 
-    def insert(self, samples: CacheSamples, frame: int) -> None:
+    def insert(self, samples: CacheSamples, sequence: DeviceArray) -> None:
         """Adds the direct radiance of a frame's samples to the means of their cells.
 
         Several calls with one frame number count as one frame. Samples that are not finite are dropped.
@@ -92,9 +93,9 @@ class RadianceCache:
         if count:
             with self._launcher.stage(_STAGE):
                 sorted_samples = self._sorted(samples, count)
-                self._make_tiles(sorted_samples, count, frame)
+                self._make_tiles(sorted_samples, count, sequence)
                 run, tiles = self._launcher.run_banded, self.tiles
-                run(kernels.add_samples, count, frame, self._grid, samples, sorted_samples, tiles)
+                run(kernels.add_samples, count, sequence, self._grid, samples, sorted_samples, tiles)
                 run(kernels.update_tiles, count, sorted_samples, tiles)
 
     def look_up(self, samples: CacheSamples) -> DeviceArray:
@@ -127,7 +128,7 @@ class RadianceCache:
             self._launcher.run_banded(kernels.number_cells, count, self._grid, samples, self.tiles, numbers)
         return numbers
 
-    def bounce_points(self, frame: int) -> CachePoints:
+    def bounce_points(self, sequence: DeviceArray) -> CachePoints:
         """Returns ray origins in the cells that have waited longest since their last ray.
 
         Each cell gets one ray, or several if cells are few. The caller traces a cosine-weighted ray from each point,
@@ -143,7 +144,7 @@ class RadianceCache:
             run(kernels.count_cells, self._config.tiles, tiles, ranks, near, far)
             prefix_sum(near, near_ends, inclusive=True)
             prefix_sum(far, far_ends, inclusive=True)
-            run(kernels.list_points, self._config.bounces, frame, tiles, ranks, near_ends, far_ends, points)
+            run(kernels.list_points, self._config.bounces, sequence, tiles, ranks, near_ends, far_ends, points)
         return points
 
     def add_bounces(
@@ -168,14 +169,13 @@ class RadianceCache:
                 run(kernels.add_bounces, count, self._grid, points, means, radiance, tiles)
                 run(kernels.update_bounced_tiles, count, points, tiles)
 
-    def evict(self, frame: int) -> None:
+    def evict(self, sequence: DeviceArray) -> None:
         """Ends a frame: evicts the tiles that no ray has hit for ``unused_frames`` of the settings."""
-        oldest = frame - self._config.unused_frames + 1
         with self._launcher.stage(_STAGE):
             stays = self._per_tile("stays")
-            self._launcher.run_banded(kernels.mark_used, self._config.tiles, oldest, self.tiles, stays)
+            inputs = sequence, self._config.unused_frames, self.tiles, stays
+            self._launcher.run_banded(kernels.mark_used, self._config.tiles, *inputs)
             self._compact(stays, is_early=False)
-        self._warn_of_overflow()
 
     def _sorted(self, samples: CacheSamples, count: int) -> SortedSamples:
         """Sorts samples by tile, then by cell in the tile, then by index."""
@@ -191,23 +191,23 @@ class RadianceCache:
         sort_pairs(device_array(result.keys), device_array(result.order), count)
         return result
 
-    def _make_tiles(self, samples: SortedSamples, count: int, frame: int) -> None:
+    def _make_tiles(self, samples: SortedSamples, count: int, sequence: DeviceArray) -> None:
         """Creates the tiles that samples need; if the cache is full, new tiles replace the tiles unused for longest."""
         run, tiles, capacity = self._launcher.run_banded, self.tiles, self._config.tiles
         is_new, ends = self._get("is_new", wp.int32, count), self._get("new_ends", wp.int32, count)
-        run(kernels.find_new_tiles, count, frame, samples, tiles, is_new)
+        run(kernels.find_new_tiles, count, sequence, samples, tiles, is_new)
         prefix_sum(is_new, ends, inclusive=True)
         self._launcher.run(kernels.count_new_tiles, 1, count, self._grid, ends, tiles)
         if self._may_count(COUNT_EXCESS):
             stays = self._per_tile("stays")
             ranks = self._ranks(kernels.key_tiles_by_use)
-            run(kernels.mark_all_but_excess, capacity, frame, tiles, ranks, stays)
+            run(kernels.mark_all_but_excess, capacity, sequence, tiles, ranks, stays)
             self._compact(stays, is_early=True)
         if self._may_count(COUNT_NEW):
             new_keys = self._get("new_keys", wp.int64, count)
             run(kernels.list_new_tiles, count, samples, is_new, ends, new_keys)
             keys, slots = self._spare_lists()
-            run(kernels.merge_tiles, capacity, frame, tiles, new_keys, keys, slots)
+            run(kernels.merge_tiles, capacity, sequence, tiles, new_keys, keys, slots)
             self._replace_lists(keys, slots)
             self._launcher.run(kernels.count_merged_tiles, 1, tiles)
 
@@ -252,7 +252,7 @@ class RadianceCache:
         """Returns whether a counter is above 0; always True on a GPU, where empty passes cost less than a download."""
         return self._launcher.is_parallel or bool(device_array(self.tiles.counts).numpy()[index] > 0)
 
-    def _warn_of_overflow(self) -> None:
+    def warn_of_overflow(self) -> None:
         """Warns once if the cache was full, so that tiles were evicted early or could not be added."""
         if not self._has_warned:
             counts = device_array(self.tiles.counts).numpy()

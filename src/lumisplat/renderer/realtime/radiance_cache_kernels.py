@@ -37,7 +37,7 @@ from lumisplat.device.gi.radiance_cache import (
     mean_index,
     slot_of,
 )
-from lumisplat.device.gi.surfaces import mean_weight
+from lumisplat.device.gi.surfaces import SequenceData, mean_weight
 from lumisplat.device.math.random import mix
 from lumisplat.device.math.sorting import first_not_below
 
@@ -91,7 +91,12 @@ def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.v
 
 @wp.kernel
 def add_samples(
-    start: int, frame: int, grid: CacheGrid, samples: CacheSamples, sorted_samples: SortedSamples, tiles: CacheTiles
+    start: int,
+    sequence: wp.array[SequenceData],
+    grid: CacheGrid,
+    samples: CacheSamples,
+    sorted_samples: SortedSamples,
+    tiles: CacheTiles,
 ):
     """Per cell: adds its samples to the cell's mean, and stores a random one as the origin of its bounce ray."""
     i = start + wp.tid()
@@ -110,6 +115,7 @@ def add_samples(
         total += wp.vec3d(samples.radiance[sorted_samples.order[end]])
         end += 1
     at = slot * TILE_CELLS + cell
+    frame = sequence[0].frame
     mean = tiles.direct[slot * TILE_MEANS + cell]
     weight = mean[3]
     if tiles.frames[at] == 0 or tiles.updated[at] != frame:
@@ -164,11 +170,12 @@ def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
 
 
 @wp.kernel
-def outdate_means(start: int, share: float, tiles: CacheTiles):
-    """Per mean of a tile: multiplies the mean's weight by ``share``, both in samples and in frames."""
+def outdate_means(start: int, sequence: wp.array[SequenceData], tiles: CacheTiles):
+    """Per mean of a tile: multiplies its weight by that of cached lighting, both in samples and in frames."""
     i = start + wp.tid()
+    share = sequence[0].history_weight
     tile = i // TILE_MEANS
-    if tile >= tiles.counts[COUNT_LIVE]:
+    if share >= 1.0 or tile >= tiles.counts[COUNT_LIVE]:
         return
     within = i - tile * TILE_MEANS
     slot = tiles.slots[tile]
@@ -290,7 +297,7 @@ def filled_cell(tiles: CacheTiles, slot: int, number: int) -> int:
 @wp.kernel
 def list_points(
     start: int,
-    frame: int,
+    sequence: wp.array[SequenceData],
     tiles: CacheTiles,
     ranks: wp.array[int],
     near_ends: wp.array[int],
@@ -301,7 +308,7 @@ def list_points(
 
     Args:
         start: Offset added to the thread index.
-        frame: Number of the frame.
+        sequence: Number of the frame.
         tiles: Tiles of the cache.
         ranks: Ranks of the tiles, longest wait first.
         near_ends: Running sum over the ranks of the number of fine cells.
@@ -329,6 +336,7 @@ def list_points(
     rank = ranks[tile]
     slot = tiles.slots[rank]
     end = wp.where(is_near, near_ends[tile], far_ends[tile])
+    frame = sequence[0].frame
     number = ray - rays * (end - tiles.filled[slot])
     cell = filled_cell(tiles, slot, number // rays)
     if number == 0:
@@ -402,14 +410,20 @@ def clear_tiles(start: int, tiles: CacheTiles):
 
 
 @wp.kernel
-def find_new_tiles(start: int, frame: int, samples: SortedSamples, tiles: CacheTiles, is_new_out: wp.array[int]):
+def find_new_tiles(
+    start: int,
+    sequence: wp.array[SequenceData],
+    samples: SortedSamples,
+    tiles: CacheTiles,
+    is_new_out: wp.array[int],
+):
     """Marks the first sample of each tile that does not exist yet; marks existing tiles as used in this frame."""
     i = start + wp.tid()
     is_new_out[i] = 0
     if is_first_of_tile(samples, i):
         slot = slot_of(tiles, samples.keys[i])
         if slot >= 0:
-            tiles.used[slot] = frame
+            tiles.used[slot] = sequence[0].frame
         else:
             is_new_out[i] = 1
 
@@ -442,7 +456,13 @@ def key_tiles_by_use(start: int, tiles: CacheTiles, ages_out: wp.array[int], ran
 
 
 @wp.kernel
-def mark_all_but_excess(start: int, frame: int, tiles: CacheTiles, ranks: wp.array[int], stays_out: wp.array[int]):
+def mark_all_but_excess(
+    start: int,
+    sequence: wp.array[SequenceData],
+    tiles: CacheTiles,
+    ranks: wp.array[int],
+    stays_out: wp.array[int],
+):
     """Marks the tiles that remain when new tiles need space: all except those unused for longest.
 
     Tiles used in this frame always remain.
@@ -451,17 +471,17 @@ def mark_all_but_excess(start: int, frame: int, tiles: CacheTiles, ranks: wp.arr
     rank = ranks[i]
     stays = int(rank < tiles.counts[COUNT_LIVE])
     if stays == 1 and i < tiles.counts[COUNT_EXCESS]:
-        stays = int(tiles.used[tiles.slots[rank]] == frame)
+        stays = int(tiles.used[tiles.slots[rank]] == sequence[0].frame)
     stays_out[rank] = stays
 
 
 @wp.kernel
-def mark_used(start: int, oldest: int, tiles: CacheTiles, stays_out: wp.array[int]):
-    """Marks the tiles that a ray has hit in frame ``oldest`` or later."""
+def mark_used(start: int, sequence: wp.array[SequenceData], frames: int, tiles: CacheTiles, stays_out: wp.array[int]):
+    """Marks the tiles that a ray has hit in the last ``frames`` frames."""
     rank = start + wp.tid()
     stays_out[rank] = 0
     if rank < tiles.counts[COUNT_LIVE]:
-        stays_out[rank] = int(tiles.used[tiles.slots[rank]] >= oldest)
+        stays_out[rank] = int(tiles.used[tiles.slots[rank]] > sequence[0].frame - frames)
 
 
 @wp.kernel
@@ -514,7 +534,7 @@ def clear_slot(tiles: CacheTiles, slot: int):
 @wp.kernel
 def merge_tiles(
     start: int,
-    frame: int,
+    sequence: wp.array[SequenceData],
     tiles: CacheTiles,
     new_keys: wp.array[wp.int64],
     keys_out: wp.array[wp.int64],
@@ -534,7 +554,7 @@ def merge_tiles(
         key = new_keys[rank - live]
         target += first_not_below(tiles.keys, live, key) - live
         clear_slot(tiles, slot)
-        tiles.used[slot] = frame
+        tiles.used[slot] = sequence[0].frame
     keys_out[target] = key
     slots_out[target] = slot
 

@@ -6,12 +6,15 @@ The method is in docs/method/realtime.md.
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.render import PATH_PARTS, REALTIME_AOVS
+from lumisplat.device.gi.secondary_rays import LobeRays
+from lumisplat.device.gi.surfaces import SurfaceLight
+from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime.antialiasing import Antialiasing
 from lumisplat.renderer.realtime.debug_layers import DebugLayers
@@ -34,6 +37,25 @@ INDIRECT_SHARED = 4
 """
 
 _log = logging.getLogger("lumisplat")
+
+
+@dataclass(frozen=True, slots=True)
+class LitSurfaces:
+    """The camera rays of a frame with direct light and reflections, before light is averaged over frames."""
+
+    wave: RayWave
+    surfaces: list[PixelSurfaces]
+    direct: list[SurfaceLight]
+    """Samples of direct light on each of ``surfaces``."""
+    lobes: tuple[LobeRays, RayData | None] | None
+    """Rays within the highlights of surfaces; None: light does not bounce."""
+    layers: dict[str, DeviceArray]
+    """Layers of light by name, with emission and reflections."""
+
+    @property
+    def graph_key(self) -> object:
+        """Values that determine which light is averaged; a CUDA graph recorded with others is stale."""
+        return [kind.kind for kind in self.surfaces], self.lobes is None
 
 
 class RealtimeIntegrator:
@@ -87,57 +109,104 @@ class RealtimeIntegrator:
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """Returns the camera rays with their radiance, as a wave (all rays before the first bounce).
 
+        CUDA replays two recorded graphs. The first can be drawn again: if reflected rays exceeded the capacities of the
+        graph, it is. The second changes the lighting that later frames reuse. Even and odd frames have different
+        graphs, because they store the surfaces of pixels and their light in different arrays.
+
         Args:
             scene: The scene on the device, synced.
             plan: Plan of the frame.
             hits: The rays and their hits.
             sample: Number of the frame in the sequence.
         """
-        self._begin(scene.image_size)
-        self._shadows.begin_sample(sample)
+        self._begin_frame(scene.image_size, sample)
+        number = sample % 2
+        while True:
+            key = self._graph_key(scene, hits), self._gbuffer.kinds_before, self._mirrors.graph_key
+            lit = self._launcher.replay(f"surfaces{number}", key, lambda: self._light(scene, plan, hits, number))
+            if plan.max_bounces == 0 or self._mirrors.finish():
+                break
+        histories = [part.has_history for part in (self._indirect.probes, self._antialiasing, *self._filters.values())]
+        key = self._graph_key(scene, hits), lit.graph_key, histories
+        self._layers = self._launcher.replay(f"history{number}", key, lambda: self._average(scene, plan, lit, number))
+        if self._bounces:
+            self._indirect.cache.warn_of_overflow()
+        return lit.wave
+
+    def _light(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int) -> LitSurfaces:
+        """Shades the surfaces that camera rays hit, and samples their direct light; follows reflected rays.
+
+        ``number`` is 0 in even frames, 1 in odd ones.
+        """
         frame_pass = self._launcher.frame_pass
         with frame_pass("surfaces"):
             wave = self._surfaces.shade(scene, plan, hits, 0, may_branch=plan.max_bounces > 0, on_paths=False)
-            self._begin_layers(wave)
-            surfaces = self._gbuffer.store(scene, wave, sample)
+            layers = self._begin_layers(wave)
+            surfaces = self._gbuffer.store(scene, wave, number)
         with frame_pass("direct"):
-            light = {"direct": self._lights.sample(scene, plan, wave, surfaces, sample)}
+            direct = self._lights.sample(scene, plan, wave, surfaces)
         lobes = None
         if self._bounces:
             with frame_pass("indirect"):
-                lobes = self._indirect.start_lobes(scene, wave, sample)
+                lobes = self._indirect.start_lobes(scene, wave)
         if plan.max_bounces > 0:
             with frame_pass("mirrors"):
-                self._layers["indirect_glossy"].assign(self._mirrors.add(scene, plan, wave, sample))
+                layers["indirect_glossy"].assign(self._mirrors.add(scene, plan, wave))
         if plan.has_shadow_catchers and plan.casts_shadows:
             with frame_pass("direct"):
-                self._lights.darken(scene, plan, wave, sample)
-        if lobes and surfaces:
+                self._lights.darken(scene, plan, wave)
+        return LitSurfaces(wave, surfaces, direct, lobes, layers)
+
+    def _average(self, scene: DeviceScene, plan: FramePlan, lit: LitSurfaces, number: int) -> dict[str, DeviceArray]:
+        """Adds indirect light, and filters all light over frames and pixels; returns the layers of light by name.
+
+        ``number`` is 0 in even frames, 1 in odd ones.
+        """
+        frame_pass, wave, surfaces, images = self._launcher.frame_pass, lit.wave, lit.surfaces, {**lit.layers}
+        light = {"direct": lit.direct}
+        if lit.lobes and surfaces:
             with frame_pass("indirect"):
-                light["indirect"] = self._indirect.find(scene, plan, surfaces, lobes, sample)
+                light["indirect"] = self._indirect.find(scene, plan, surfaces, lit.lobes)
         for name, samples in light.items():
             for kind, noisy in zip(surfaces, samples, strict=True):
                 with frame_pass("filters"):
-                    filtered = self._filters[name, kind.kind].filter(scene, kind, noisy, sample)
+                    filtered = self._filters[name, kind.kind].filter(scene, kind, noisy, number)
                 with frame_pass("sum"):
-                    layers = self._layers[f"{name}_diffuse"], self._layers[f"{name}_glossy"]
+                    layers = images[f"{name}_diffuse"], images[f"{name}_glossy"]
                     self._lights.add(scene, wave, kind, filtered, layers)
         if plan.jitters:
             with frame_pass("antialiasing"):
-                self._antialiasing.average(scene, plan, wave, self._layers, sample)
+                self._antialiasing.average(scene, plan, wave, images, number)
         if debug_names := sorted(plan.aovs & {*REALTIME_AOVS}):
             with frame_pass("views"):
-                self._layers |= self._debug_images(debug_names, scene, surfaces, wave.count, sample)
-        return wave
+                images |= self._debug_images(debug_names, scene, surfaces, wave.count, number)
+        return images
+
+    def _graph_key(self, scene: DeviceScene, hits: PrimaryHits) -> object:
+        """Returns values that the recorded graphs contain; a graph recorded with others is stale."""
+        emitters = scene.captured_emitters.boxes
+        boxes = None if emitters is None else emitters.shape
+        return scene.graph_key, scene.motion.graph_key, hits.graph_key, boxes
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """Returns the layers of light that the frame requests, from the last `shade`."""
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
 
-    def _begin(self, size: tuple[int, int]) -> None:
-        """Begins a frame of ``size`` (width, height). A new image size begins a new sequence, which is logged once."""
-        if self._size == size:
-            return
+    def _begin_frame(self, size: tuple[int, int], number: int) -> None:
+        """Begins frame ``number`` of the sequence: writes to the device what changes from frame to frame.
+
+        A new image ``size`` (width, height) begins a new sequence, which is logged once.
+        """
+        if self._size != size:
+            self._restart(size)
+        self._shadows.begin_sample(number)
+        self._lights.begin_frame(number)
+        self._mirrors.begin_frame(number)
+        if self._bounces:
+            self._indirect.begin_frame(size, number)
+
+    def _restart(self, size: tuple[int, int]) -> None:
+        """Begins a new sequence with images of ``size``, because no earlier lighting has this size."""
         if self._size is not None and not self._has_warned_of_size:
             before, now = ("{} x {}".format(*pixels) for pixels in (self._size, size))
             _log.warning("the image size has changed from %s to %s: the real-time history is discarded", before, now)
@@ -167,9 +236,10 @@ class RealtimeIntegrator:
                 images[name] = debug.cache_cells(scene, indirect.cache, surfaces, count)
         return images
 
-    def _begin_layers(self, wave: RayWave) -> None:
-        """Clears the layers of light; the emission layer starts with the emission of surfaces."""
-        self._layers = {name: self._buffers.get(f"realtime.{name}", wp.vec3, wave.count) for name in PATH_PARTS}
-        for image in self._layers.values():
+    def _begin_layers(self, wave: RayWave) -> dict[str, DeviceArray]:
+        """Returns black layers of light by name; the emission layer starts with the emission of surfaces."""
+        layers = {name: self._buffers.get(f"realtime.{name}", wp.vec3, wave.count) for name in PATH_PARTS}
+        for image in layers.values():
             image.zero_()
-        self._layers["emission"].assign(wave.row.radiance.light)
+        layers["emission"].assign(wave.row.radiance.light)
+        return layers

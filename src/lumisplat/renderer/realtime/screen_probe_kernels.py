@@ -28,7 +28,7 @@ from lumisplat.device.gi.screen_probes import (
     shows_same_surface,
     start_probe_ray,
 )
-from lumisplat.device.gi.surfaces import SurfacePixels, mean_weight
+from lumisplat.device.gi.surfaces import SequenceData, SurfacePixels, mean_weight
 from lumisplat.device.math.directions import cell_of_direction, cell_width, direction_in_cell
 from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData
@@ -307,10 +307,11 @@ def add_samples(
 
 
 @wp.kernel
-def outdate_cells(start: int, share: float, cells_inout: ProbeCells):
-    """Per probe cell (direction): multiplies the weight of its mean radiance by ``share``, as light has changed."""
+def outdate_cells(start: int, sequence: wp.array[SequenceData], cells_inout: ProbeCells):
+    """Per probe cell (direction): multiplies the weight of its mean radiance by that of cached lighting."""
     k = start + wp.tid()
-    cells_inout.samples[k] = share * cells_inout.samples[k]
+    if sequence[0].history_weight < 1.0:
+        cells_inout.samples[k] = sequence[0].history_weight * cells_inout.samples[k]
 
 
 @wp.kernel

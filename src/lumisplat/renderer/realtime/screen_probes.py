@@ -26,8 +26,8 @@ _DEGREE = 2
 class ScreenProbes:
     """Probes on the surfaces that a frame shows, with the radiance that the probes have gathered over frames.
 
-    In each frame, call ``place`` and ``rays``, trace the rays, and call ``update``, then ``irradiance``. Each array
-    element has one writer, so the bits are the same for any number of threads.
+    In each frame, call ``begin``, ``place`` and ``rays``, trace the rays, and call ``update``, then ``irradiance``.
+    Each array element has one writer, so the bits are the same for any number of threads.
 
     Args:
         launcher: Runs the kernels.
@@ -48,7 +48,8 @@ class ScreenProbes:
         beyond = irradiance_residual(config.cells, _DEGREE, PROBE_NORMALS).astype(np.float32).ravel()
         self._beyond = buffers.upload("probes.beyond", wp.float32, beyond)
         self._size: tuple[int, int] | None = None
-        self._has_history = False
+        self.has_history = False
+        """True if an earlier frame of the sequence has placed probes."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
@@ -57,29 +58,27 @@ class ScreenProbes:
 
     def reset(self) -> None:
         """Drops all gathered radiance: the next frame begins a new sequence."""
-        self._has_history = False
+        self.has_history = False
 
-    def place(
-        self,
-        surfaces: SurfacePixels,
-        camera: wp.array[CameraData],
-        camera_before: wp.array[CameraData],
-        size: tuple[int, int],
-        frame: int,
-    ) -> None:
+    def begin(self, size: tuple[int, int], frame: int) -> None:
+        """Begins a frame: writes the layout of its probes to the device.
+
+        Args:
+            size: Width and height, pixels; a new size begins a new sequence.
+            frame: Number of the frame in its sequence.
+        """
+        self._allocate(size)
+        self._write_grid(size, frame)
+
+    def place(self, surfaces: SurfacePixels, camera: wp.array[CameraData], camera_before: wp.array[CameraData]) -> None:
         """Places the probes of a frame.
 
         Args:
             surfaces: Surfaces of the frame's pixels.
             camera: Camera of the frame, shape (1,).
             camera_before: Camera of the previous frame, shape (1,).
-            size: Width and height, pixels; a new size begins a new sequence.
-            frame: Number of the frame in its sequence.
         """
         self._camera = camera
-        self._allocate(size)
-        self._continues = self._has_history
-        self._write_grid(frame)
         self._store_history()
         run, tiles, grids = self._launcher.run_banded, self._tiles, self._grids
         inputs = grids, camera, camera_before, surfaces
@@ -95,19 +94,18 @@ class ScreenProbes:
         )
         carried = self._cells_before, self.cells
         run(kernels.carry_cells, self.count, grids, self.probes, self._before, *carried)
-        self._has_history = True
+        self.has_history = True
 
-    def outdate(self, share: float) -> None:
-        """Multiplies the weight of all gathered radiance by ``share`` if light has changed; call it after ``place``."""
-        self._launcher.run_banded(kernels.outdate_cells, self.count * self._cell_count, share, self.cells)
+    def outdate(self, sequence: DeviceArray) -> None:
+        """Multiplies the weight of all gathered radiance by that of ``sequence``; call it after ``place``."""
+        self._launcher.run_banded(kernels.outdate_cells, self.count * self._cell_count, sequence, self.cells)
 
-    def rays(self, frame: int) -> RayData:
+    def rays(self) -> RayData:
         """Returns one ray for each cell (direction) of the probes to update; rays into a probe's mesh are inactive.
 
         Probes that were never updated come first, then those whose last update is longest ago. ``refreshed`` of the
         settings fixes the number of probes to update.
         """
-        self._write_grid(frame)
         run, order = self._launcher.run_banded, self._refresh_order
         keys = self._list("probes.refresh_keys", self.count)
         run(kernels.rank_probes, self.count, self._grids, self.probes, keys, order)
@@ -134,7 +132,7 @@ class ScreenProbes:
     def irradiance(self, surfaces: SurfacePixels) -> DeviceArray:
         """Returns the linear irradiance on each pixel's surface from the probes, vec3; 0 where there is no surface."""
         run, get, grids = self._launcher.run_banded, self._buffers.get, self._grids
-        assert self._size is not None, "call place before irradiance"
+        assert self._size is not None, "call begin before irradiance"
         pixels, tiles = self._size[0] * self._size[1], self._tiles
         found, known = get("probes.found", wp.vec3, pixels), get("probes.is_known", wp.int32, pixels)
         inputs = self._camera, surfaces, self.probes, self.adaptive_of, self.light
@@ -163,7 +161,7 @@ class ScreenProbes:
         """Allocates the arrays for an image size; a new size drops all gathered radiance."""
         if size == self._size:
             return
-        self._size, self._has_history = size, False
+        self._size, self.has_history = size, False
         config, buffers = self._config, self._buffers
         self._columns, self._rows = (-(-side // config.tile) for side in size)
         self._tiles, self._cell_count = self._columns * self._rows, config.cells**2
@@ -190,22 +188,21 @@ class ScreenProbes:
         """Returns an array of ``count`` integers, followed by the scratch space that sorting needs."""
         return self._buffers.get(name, wp.int32, 2 * count)
 
-    def _write_grid(self, frame: int) -> None:
+    def _write_grid(self, size: tuple[int, int], frame: int) -> None:
         """Writes the layout of the probes for frame ``frame`` to the device."""
-        assert self._size is not None, "call place before rays"
         grid = ProbeGrid()
-        grid.width, grid.height = self._size
+        grid.width, grid.height = size
         grid.tile, grid.cells = self._config.tile, self._config.cells
         grid.tiles_x, grid.tiles_y = self._columns, self._rows
         grid.adaptive, grid.history = self._adaptive, float(self._config.history)
         grid.offset = self._offset
-        grid.frame, grid.has_history = frame, int(self._continues)
+        grid.frame, grid.has_history = frame, int(self.has_history)
         grid.seed = wp.uint32(self._seed)
         self._grids = self._buffers.table("probes.grid", ProbeGrid, [grid])
 
     def _store_history(self) -> None:
         """Copies the probes of the last frame to the arrays that hold the previous frame's probes."""
-        if not self._has_history:
+        if not self.has_history:
             return
         run = self._launcher.run_banded
         run(kernels.copy_probes, self.count, self.probes, self._before)

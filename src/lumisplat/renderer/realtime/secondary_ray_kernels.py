@@ -19,7 +19,7 @@ from lumisplat.device.gi.secondary_rays import (
     straight_bounce,
     straight_step,
 )
-from lumisplat.device.gi.surfaces import glossy_albedo, highlight_width, matte_albedo
+from lumisplat.device.gi.surfaces import SequenceData, glossy_albedo, highlight_width, matte_albedo
 from lumisplat.device.light.glossy_lobe import LOBE_BRANCH, highlight_share, interaction_of, lobe_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction, mesh_emission
 from lumisplat.device.math.color import captured_color, is_black
@@ -208,7 +208,7 @@ def traced_share(j: int, wave: wp.array[WaveData]) -> float:
 @wp.kernel
 def choose_lobes(
     start: int,
-    frame: int,
+    sequence: wp.array[SequenceData],
     camera: wp.array[CameraData],
     wave: wp.array[WaveData],
     lobes_out: LobeRays,
@@ -222,7 +222,7 @@ def choose_lobes(
     width = camera[0].width
     lobes_out.slot[square] = -1
     follows_out[square] = 0
-    at = followed_pixel(square, frame, width)
+    at = followed_pixel(square, sequence[0].frame, width)
     if at[0] >= width or at[1] >= camera[0].height:
         return
     i = ray_of_pixel(width, at[0], at[1])

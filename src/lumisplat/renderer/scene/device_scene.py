@@ -223,6 +223,8 @@ class DeviceScene:
         """Starts sample ``index`` of each pixel: sets the camera's sub-pixel offset to that sample's position."""
         self._sample["index"] = index
         assign_table(self.sample, self._sample)
+        if self.plan.has_history:
+            self.motion.begin_frame(index)
         for table, jitters in ((self.camera, self._jitters_meshes), (self.splat_camera, self._jitters)):
             assign_table(table, camera_table(self._camera, subpixel(index if jitters else 0)))
 

@@ -13,12 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion
+from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion, SequenceData
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.renderer.scene.assets import as_device_array, first_of
 from lumisplat.renderer.scene.camera_table import camera_table
-from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
-from lumisplat.runtime.struct_tables import upload_structs
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, rows_of
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light
 from lumisplat.scene.materials import Material, MaterialSimple
@@ -59,13 +58,15 @@ class Motion:
     """
 
     def __init__(self, buffers: Buffers, device: str) -> None:
-        self._device = device
+        self._buffers, self._device = buffers, device
         self._scene: Scene | None = None
         self._camera: Camera | None = None
         self._positions: wp.array[wp.vec3] | None = None
         self._changes = LightChanges()
         self.history_weight = 1.0
         """Factor on the weight of cached lighting in this frame, 0..1; 1 unless lighting has changed."""
+        self.sequence = buffers.get("motion.sequence", SequenceData, 1)
+        """Number of the frame and `history_weight` as a table for kernels; written by ``begin_frame``."""
         self.camera = buffers.get("motion.camera", CameraData, 1)
         """Camera of the previous frame; written by ``sync``."""
         self.splats: DeviceArray
@@ -98,19 +99,39 @@ class Motion:
         assign_table(self.camera, camera_table(self._camera or camera))
         splats = previous_indices(scene.splats, before.splats, lambda instance: instance.gaussians, is_same_capture)
         meshes = previous_indices(scene.meshes, before.meshes, lambda instance: instance.mesh, is_same_mesh)
-        self.splats = upload_structs(self._splat_rows(scene, before, splats), InstanceMotion, self._device)
-        self.meshes = upload_structs(self._mesh_rows(scene, before, meshes), InstanceMotion, self._device)
+        self.splats = self._table("motion.splats", self._splat_rows(scene, before, splats))
+        self.meshes = self._table("motion.meshes", self._mesh_rows(scene, before, meshes))
         numbers = [*splats, *(None if number is None else len(before.splats) + number for number in meshes)]
         moved = moved_to(asset_transforms(scene), asset_transforms(before), numbers)
-        self.moved_to = as_device_array(np.array(moved, np.int32), wp.int32, self._device)
+        self.moved_to = self._buffers.upload("motion.moved_to", wp.int32, np.array(moved, np.int32))
         self.history_weight = self._changes.history_weight(scene, has_headlight, captures)
         self._scene, self._camera = scene, camera
         self._positions = positions
+
+    @property
+    def graph_key(self) -> object:
+        """Numbers of instances in this frame and the previous one; a CUDA graph recorded with others is stale."""
+        return len(self.splats), len(self.meshes), len(self.moved_to)
+
+    def begin_frame(self, number: int) -> None:
+        """Writes the number of the frame in its sequence, and the weight of cached lighting, for kernels."""
+        row = SequenceData()
+        row.frame, row.history_weight = number, self.history_weight
+        assign_table(self.sequence, rows_of([row]))
 
     def forget(self) -> None:
         """Forgets the previous frame: in the next frame, nothing has moved and nothing has a history."""
         self._scene = self._camera = self._positions = None
         self._changes.forget()
+
+    def _table(self, name: str, rows: list[InstanceMotion]) -> DeviceArray:
+        """Returns the motions of instances as a table, at least one row; its address stays the same.
+
+        The table keeps alive the arrays to which its rows point.
+        """
+        table = self._buffers.table(name, InstanceMotion, rows or [InstanceMotion()])
+        table.keep_alive = rows
+        return table
 
     def _splat_rows(self, scene: Scene, before: Scene, numbers: list[int | None]) -> list[InstanceMotion]:
         rows: list[InstanceMotion] = []

@@ -88,6 +88,7 @@ def spawn_rays(
 ):
     """Per branch: starts its ray at the parent's hit, on the side of the surface where the new ray runs.
 
+    Rays beyond the capacity of ``rays_out`` are left out; the sample is then drawn again (`SpecularWaves.finish`).
     ``media_out`` is empty in scenes without media, and ``sees_environment_out`` where all rays get environment
     radiance.
     """
@@ -98,6 +99,8 @@ def spawn_rays(
     refracted = j // stride
     i = j % stride
     child = wave[0].branch_ends[j] - 1
+    if child >= rays_out.is_active.shape[0]:
+        return
     if refracted == 2:
         spawn_lobe_ray(i, child, wave, rays_out, weights_out, path_weights_out, media_out, sees_environment_out)
         return
@@ -153,6 +156,8 @@ def gather_branches(
         j = branch * stride + i
         if near_inout[0].branches[j] == 1:
             child = near_inout[0].branch_ends[j] - 1
+            if child >= far[0].weights.shape[0]:
+                continue
             if is_lit:
                 light = captured_color(far[0].radiance.captured[child], far[0].radiance.captured_weight[child])
                 if far[0].radiance.capture_factor:
