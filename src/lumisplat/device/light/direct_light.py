@@ -393,6 +393,21 @@ def light_contribution(
 
 
 @wp.func
+def sample_of_choice(
+    choice: LightChoice, position: wp.vec3, u: wp.vec2, which: float, scene: wp.array[ShadingScene]
+) -> LightSample:
+    """Samples the light that was selected at random, as seen from ``position``, without regard to the selection.
+
+    ``u``, random, 0..1 each, selects the point; ``which``, random, 0..1, the emissive triangle.
+    """
+    if choice.number == scene[0].settings[0].light_count:
+        return sample_emitter(position, u, which, scene)
+    if scene[0].lights[choice.number].kind == LIGHT_ENVIRONMENT:
+        return sample_environment(scene[0].environment, u)
+    return sample_light(scene[0].lights[choice.number], position, scene[0].settings[0].soft, u)
+
+
+@wp.func
 def sample_chosen(
     choice: LightChoice,
     interaction: Interaction,
@@ -403,18 +418,10 @@ def sample_chosen(
 ) -> SampledLight:
     """Samples the light that was selected at random; the contribution is divided by the probability of the selection.
 
-    ``u``, random, 0..1 each, selects the point; ``which``, random, 0..1, the emissive triangle. ``with_mis``: weight
-    the contribution by the power heuristic, because scattered rays also hit the light (see ``uses_mis``).
+    ``u`` and ``which`` are as for ``sample_of_choice``. ``with_mis``: weight the contribution by the power heuristic,
+    because scattered rays also hit the light (see ``uses_mis``).
     """
-    sample = LightSample()
-    if choice.number == scene[0].settings[0].light_count:
-        sample = sample_emitter(interaction.position, u, which, scene)
-    else:
-        light = scene[0].lights[choice.number]
-        if light.kind == LIGHT_ENVIRONMENT:
-            sample = sample_environment(scene[0].environment, u)
-        else:
-            sample = sample_light(light, interaction.position, scene[0].settings[0].soft, u)
+    sample = sample_of_choice(choice, interaction.position, u, which, scene)
     weight = float(1.0)
     if with_mis and sample.pdf > 0.0:
         pdf = bsdf_pdf(interaction.bsdf, interaction.normal, interaction.wo, sample.direction)

@@ -16,6 +16,7 @@ from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.structs.shading import (
     BSDF_PBR,
     SEES_BACKGROUND,
+    SEES_NOTHING,
     CatcherLight,
     Interaction,
     ShadingScene,
@@ -56,6 +57,19 @@ def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_BACKGROUND
     return wave[0].traces_paths != 0 or scene[0].environment.exists != 0 or not sees_environment(i, wave)
+
+
+@wp.func
+def store_no_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
+    """Writes the radiance of an inactive ray: the background for a camera ray, else black."""
+    from_camera = wave[0].from_camera != 0
+    shows = from_camera and scene[0].settings[0].camera_sees != SEES_NOTHING
+    wave[0].radiance.captured[i] = wp.where(from_camera, scene[0].settings[0].background, wp.vec3(0.0))
+    wave[0].radiance.captured_weight[i] = wp.where(shows, 1.0, 0.0)
+    wave[0].radiance.light[i] = wp.vec3(0.0)
+    wave[0].radiance.alpha[i] = 0.0
+    if wave[0].radiance.reflection:
+        wave[0].radiance.reflection[i] = wp.vec3(0.0)
 
 
 @wp.func

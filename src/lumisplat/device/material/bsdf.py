@@ -340,6 +340,29 @@ def diffuse_factor(enters: float, leaves: float, mean_mirrored: float) -> float:
 
 
 @wp.func
+def rough_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
+    """Evaluates ``pbr_diffuse`` for rough, opaque surfaces only."""
+    if bsdf.dielectric <= 0.0:
+        return INV_PI * bsdf.diffuse
+    enters = 1.0 - rough_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, cos_light)
+    leaves = 1.0 - rough_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, cos_view)
+    return diffuse_factor(enters, leaves, bsdf.mean_mirrored) * bsdf.diffuse
+
+
+@wp.func
+def facets_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Evaluates the GGX highlight of BSDF_PBR, per steradian, without the cosine; light is above the horizon."""
+    half = view + light
+    length2 = wp.dot(half, half)
+    if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0 or length2 <= HALF_MIN2:
+        return wp.vec3(0.0)
+    alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
+    # Cook and Torrance's D G / (4 cos cos), whose cosines cancel with those of Smith's G.
+    masks = smith_g1(wp.dot(normal, view), alpha) * smith_g1(wp.dot(normal, light), alpha)
+    return (ggx_d(normal, half, alpha) * masks) * reflectance(bsdf, 0.5 * wp.sqrt(length2))
+
+
+@wp.func
 def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
     """Evaluates BSDF_PBR without layers, linear, per steradian, without the cosine; light is above the horizon."""
     cos_view = wp.dot(normal, view)
@@ -349,16 +372,22 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
         value = pbr_diffuse(bsdf, cos_view, cos_light)
     if transmits(bsdf):
         return value + glass_eval(bsdf, normal, view, light)
-    half = view + light
-    length2 = wp.dot(half, half)
     if not is_black(bsdf.rescattered):
         value += rescattered_eval(bsdf.rescattered, cos_view, cos_light, bsdf.alpha)
-    if bsdf.alpha > 0.0 and bsdf.grazing > 0.0 and length2 > HALF_MIN2:
-        alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
-        # Cook and Torrance's D G / (4 cos cos), whose cosines cancel with those of Smith's G.
-        facets = ggx_d(normal, half, alpha) * (smith_g1(cos_view, alpha) * smith_g1(cos_light, alpha))
-        value += facets * reflectance(bsdf, 0.5 * wp.sqrt(length2))
-    return value
+    return value + facets_eval(bsdf, normal, view, light)
+
+
+@wp.func
+def rough_share(bsdf: Bsdf, cos_view: float) -> float:
+    """Returns ``pbr_share`` for rough, opaque surfaces without multiple scattering."""
+    if bsdf.grazing <= 0.0:
+        return 0.0
+    specular = mean_of(view_albedo(bsdf, cos_view))
+    mirrored = rough_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, cos_view)
+    diffuse = (1.0 - mirrored) * mean_of(bsdf.diffuse)
+    if diffuse <= 0.0:
+        return 1.0
+    return specular / (specular + diffuse)
 
 
 @wp.func
@@ -409,6 +438,22 @@ def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> fl
 
 
 @wp.func
+def facets_or_cosine_pdf(
+    bsdf: Bsdf, share: float, diffuse: float, normal: wp.vec3, view: wp.vec3, light: wp.vec3
+) -> float:
+    """Returns the pdf of ``light`` if visible microfacets are sampled with probability ``share``, else the cosine lobe.
+
+    ``diffuse`` is the pdf of the diffuse lobe.
+    """
+    half = view + light
+    if share <= 0.0 or wp.dot(half, half) <= HALF_MIN2:
+        return (1.0 - share) * diffuse
+    alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
+    specular = 0.5 * ggx_d(normal, half, alpha) * smith_g1(wp.dot(normal, view), alpha)
+    return share * specular + (1.0 - share) * diffuse
+
+
+@wp.func
 def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
     """Returns the pdf, per steradian, with which BSDF_PBR without layers samples ``light`` above the horizon."""
     cos_view = wp.dot(normal, view)
@@ -416,12 +461,7 @@ def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float
     share = pbr_share(bsdf, cos_view)
     if transmits(bsdf):
         return share * glass_pdf(bsdf, normal, view, light) + (1.0 - share) * diffuse
-    half = view + light
-    if share <= 0.0 or wp.dot(half, half) <= HALF_MIN2:
-        return (1.0 - share) * diffuse
-    alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
-    specular = 0.5 * ggx_d(normal, half, alpha) * smith_g1(cos_view, alpha)
-    return share * specular + (1.0 - share) * diffuse
+    return facets_or_cosine_pdf(bsdf, share, diffuse, normal, view, light)
 
 
 @wp.func
@@ -456,6 +496,15 @@ def facet_mirrored(normal: wp.vec3, view: wp.vec3, alpha: float, u: wp.vec2) -> 
 
 
 @wp.func
+def phong_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2) -> wp.vec3:
+    """Samples a unit direction of the highlight of BSDF_SIMPLE."""
+    mirrored = 2.0 * wp.dot(normal, view) * normal - view
+    cosine = wp.pow(1.0 - u[0], 1.0 / (bsdf.shininess + 1.0))
+    sine = wp.sqrt(wp.max((1.0 - cosine) * (1.0 + cosine), 0.0))
+    return around(wp.normalize(mirrored), cosine, sine, u[1])
+
+
+@wp.func
 def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
     """Samples a unit direction of the BSDF without clearcoat and sheen; zero: no direction was found."""
     cos_view = wp.dot(normal, view)
@@ -467,10 +516,7 @@ def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choic
     if choice >= share:
         return diffuse_direction(bsdf, normal, u)
     if bsdf.model == BSDF_SIMPLE:
-        mirrored = 2.0 * cos_view * normal - view
-        cosine = wp.pow(1.0 - u[0], 1.0 / (bsdf.shininess + 1.0))
-        sine = wp.sqrt(wp.max((1.0 - cosine) * (1.0 + cosine), 0.0))
-        return around(wp.normalize(mirrored), cosine, sine, u[1])
+        return phong_direction(bsdf, normal, view, u)
     half = facet_mirrored(normal, view, wp.max(bsdf.alpha, ALPHA_GGX_MIN), u)
     if transmits(bsdf):
         return glass_direction(bsdf, normal, view, half, choice / share)
@@ -489,6 +535,51 @@ def base_albedo(bsdf: Bsdf, cos_view: float) -> float:
     if bsdf.alpha > 0.0:
         albedo += mean_of(view_albedo(bsdf, cos_view))
     return albedo
+
+
+# --- Rough, opaque surfaces without layers: the common case, in few instructions ---
+#
+# The functions return what ``bsdf_eval``, ``bsdf_pdf`` and ``sampled_direction`` return for such surfaces, to the bit.
+
+
+@wp.func
+def opaque_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Evaluates the BSDF of a rough, opaque surface without layers, per steradian, without the cosine."""
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    if cos_view <= 0.0 or cos_light <= 0.0:
+        return wp.vec3(0.0)
+    if bsdf.model == BSDF_SIMPLE:
+        return simple_eval(bsdf, normal, view, light)
+    return rough_diffuse(bsdf, cos_view, cos_light) + facets_eval(bsdf, normal, view, light)
+
+
+@wp.func
+def opaque_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Returns the pdf, per steradian, with which ``opaque_direction`` samples ``light``."""
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    if cos_view <= 0.0 or cos_light <= 0.0:
+        return 0.0
+    if bsdf.model == BSDF_SIMPLE:
+        return simple_pdf(bsdf, normal, view, light)
+    return facets_or_cosine_pdf(bsdf, rough_share(bsdf, cos_view), INV_PI * cos_light, normal, view, light)
+
+
+@wp.func
+def opaque_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
+    """Samples a unit direction of a rough, opaque surface without layers; zero: no direction was found."""
+    share = float(0.0)
+    if bsdf.model == BSDF_SIMPLE:
+        share = simple_share(bsdf)
+    else:
+        share = rough_share(bsdf, wp.dot(normal, view))
+    if choice >= share:
+        return around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
+    if bsdf.model == BSDF_SIMPLE:
+        return phong_direction(bsdf, normal, view, u)
+    half = facet_mirrored(normal, view, wp.max(bsdf.alpha, ALPHA_GGX_MIN), u)
+    return wp.normalize(2.0 * wp.dot(view, half) * half - view)
 
 
 # --- With layers ---

@@ -36,6 +36,20 @@ def aligned_store_of(struct_type: Any) -> Any:
     return store_aligned
 
 
+# --- Indices ---
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    __builtin_assume(i >= 0);
+#endif
+    return i;
+""")
+def from_zero(i: int) -> int:
+    """Returns ``i`` and promises that it is not negative: Warp's arrays then skip their test for negative indices."""
+    ...
+
+
 # --- Arrays of constant size on the stack of a thread, which functions can share ---
 #
 # Warp passes vectors by value, and copies a vector of a struct to read one element. Functions therefore share arrays

@@ -29,7 +29,14 @@ from lumisplat.device.math.random import branch_key, draw, sobol_2d
 from lumisplat.device.path.steps import BRANCH_MESH, PathData
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import Interaction, LightCrossing, PathVertex, ShadingScene, WaveData
+from lumisplat.device.structs.shading import (
+    SEES_ENVIRONMENT,
+    Interaction,
+    LightCrossing,
+    PathVertex,
+    ShadingScene,
+    WaveData,
+)
 
 
 @struct
@@ -272,6 +279,26 @@ def escaped_radiance(
             other *= environment_pdf(scene[0].environment, direction)
             radiance *= power_heuristic(paths[0].pdf[i], other)
     return radiance
+
+
+@wp.func
+def ray_escaped_radiance(
+    i: int,
+    number: int,
+    no_shadows: bool,
+    paths: wp.array[PathData],
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+) -> wp.vec3:
+    """Returns the linear environment radiance behind ray ``i`` after ``number`` bounces; 0 if a mesh ends the ray."""
+    if wave[0].meshes.face[i] >= 0:
+        return wp.vec3(0.0)
+    direction = wave[0].rays.direction[i]
+    if number > 0:
+        return escaped_radiance(i, direction, no_shadows, paths, scene)
+    if scene[0].settings[0].camera_sees == SEES_ENVIRONMENT:
+        return environment_radiance(scene[0].environment, direction)
+    return wp.vec3(0.0)
 
 
 @wp.func

@@ -18,7 +18,7 @@ from lumisplat.device.math.random import sobol_2d
 from lumisplat.device.mesh.mesh_surface import hit_weights
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, ShadingScene, WaveData
+from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, PathVertex, ShadingScene, WaveData
 
 ROULETTE_BOUNCE = 3
 """Russian roulette may end a path from this bounce on; earlier bounces always continue."""
@@ -125,6 +125,16 @@ ROULETTE_FIRST = wp.constant(ROULETTE_BOUNCE)
 GOES_ON_MIN = wp.constant(wp.float32(ROULETTE_RANGE[0]))
 
 GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
+
+
+# Branch numbers of a ray's random key. The next ray has 0; device/light/direct_light.py and
+# device/path/contributions.py use further numbers.
+DIRECTION_BRANCH = wp.constant(6)
+"""Number that derives a random key from a ray's key: the key for the direction in which the ray's path continues."""
+SURFACE_BRANCH = wp.constant(7)
+"""Number that derives a random key from a ray's key: the key for the choice of the surface and the BSDF lobe from
+which the path's next ray starts."""
+ROULETTE_BRANCH = wp.constant(8)
 
 
 @wp.func
@@ -283,3 +293,23 @@ def survival(number: int, throughput: wp.vec3, key: wp.uint32, sample: int) -> f
         return 1.0
     chance = wp.clamp(largest, GOES_ON_MIN, GOES_ON_MAX)
     return wp.where(sobol_2d(key, sample)[0] < chance, chance, 0.0)
+
+
+@wp.func
+def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: wp.array[PathSteps]):
+    """Writes the next ray of path ``i``; `spawn_paths` adds throughput and flags, which depend on earlier steps."""
+    steps[0].goes_on[i] = 1
+    steps[0].rays.origin[i] = step.origin
+    steps[0].rays.direction[i] = step.direction
+    steps[0].rays.t_min[i] = step.t_min
+    steps[0].rays.normal[i] = step.layer_normal
+    steps[0].rays.path_length[i] = step.path_length
+    steps[0].rays.spread[i] = step.spread
+    steps[0].paths.pdf[i] = step.pdf
+    steps[0].paths.position[i] = vertex.position
+    steps[0].paths.normal[i] = vertex.normal
+    steps[0].paths.importance[i] = vertex.importance
+    if steps[0].paths.media:
+        steps[0].paths.media[i] = step.media
+    if steps[0].paths.diffuse:
+        steps[0].paths.diffuse[i] = step.diffuse

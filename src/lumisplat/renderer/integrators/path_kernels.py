@@ -8,7 +8,6 @@
 import warp as wp
 
 from lumisplat.device.light.direct_light import environment_number, vertex_at
-from lumisplat.device.light.emitters import environment_radiance
 from lumisplat.device.light.interaction import SHADE_OPTIONS
 from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.material.media import passed_by_ray
@@ -29,10 +28,14 @@ from lumisplat.device.path.contributions import (
     escaped_radiance,
     leaves_catcher,
     light_surface,
+    ray_escaped_radiance,
     start_along,
 )
 from lumisplat.device.path.steps import (
     BRANCH_NONE,
+    DIRECTION_BRANCH,
+    ROULETTE_BRANCH,
+    SURFACE_BRANCH,
     PathData,
     PathStep,
     PathSteps,
@@ -42,21 +45,14 @@ from lumisplat.device.path.steps import (
     scattered_step,
     scattering_interaction,
     specular_step,
+    store_step,
     survival,
 )
 from lumisplat.device.structs.rays import GaussianHits, RayData
-from lumisplat.device.structs.shading import SEES_ENVIRONMENT, PathVertex, ShadingScene, WaveData
+from lumisplat.device.structs.shading import PathVertex, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
-# Branch numbers of a ray's random key. The next ray has 0; device/light/direct_light.py and
-# device/path/contributions.py use further numbers.
-DIRECTION_BRANCH = wp.constant(6)
-"""Number that derives a random key from a ray's key: the key for the direction in which the ray's path continues."""
-SURFACE_BRANCH = wp.constant(7)
-"""Number that derives a random key from a ray's key: the key for the choice of the surface and the BSDF lobe from
-which the path's next ray starts."""
-ROULETTE_BRANCH = wp.constant(8)
 AMBIENT_BRANCH = wp.constant(9)
 """Number that derives a random key from a ray's key: the key of an ambient shadow ray from a shadow catcher, for
 stochastic shadows of Gaussians."""
@@ -165,26 +161,6 @@ def add_captured_light(
     add_unshadowed_light(paths[0].root[i], wp.cw_mul(throughput, escaped), images_inout)
 
 
-@wp.func
-def ray_escaped_radiance(
-    i: int,
-    number: int,
-    no_shadows: bool,
-    paths: wp.array[PathData],
-    scene: wp.array[ShadingScene],
-    wave: wp.array[WaveData],
-) -> wp.vec3:
-    """Returns the linear environment radiance behind ray ``i`` after ``number`` bounces; 0 if a mesh ends the ray."""
-    if wave[0].meshes.face[i] >= 0:
-        return wp.vec3(0.0)
-    direction = wave[0].rays.direction[i]
-    if number > 0:
-        return escaped_radiance(i, direction, no_shadows, paths, scene)
-    if scene[0].settings[0].camera_sees == SEES_ENVIRONMENT:
-        return environment_radiance(scene[0].environment, direction)
-    return wp.vec3(0.0)
-
-
 @wp.kernel
 def add_hit_radiance(
     start: int,
@@ -237,26 +213,6 @@ def add_hit_radiance(
         root, for_catcher, wp.cw_mul(throughput, escaped), number, environment_index, lights, diffuse, images_inout
     )
     add_hit_lights(i, number, no_shadows, scene, wave_inout, paths, shadows_out, images_inout)
-
-
-@wp.func
-def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: wp.array[PathSteps]):
-    """Writes the next ray of path ``i``; `spawn_paths` adds throughput and flags, which depend on earlier steps."""
-    steps[0].goes_on[i] = 1
-    steps[0].rays.origin[i] = step.origin
-    steps[0].rays.direction[i] = step.direction
-    steps[0].rays.t_min[i] = step.t_min
-    steps[0].rays.normal[i] = step.layer_normal
-    steps[0].rays.path_length[i] = step.path_length
-    steps[0].rays.spread[i] = step.spread
-    steps[0].paths.pdf[i] = step.pdf
-    steps[0].paths.position[i] = vertex.position
-    steps[0].paths.normal[i] = vertex.normal
-    steps[0].paths.importance[i] = vertex.importance
-    if steps[0].paths.media:
-        steps[0].paths.media[i] = step.media
-    if steps[0].paths.diffuse:
-        steps[0].paths.diffuse[i] = step.diffuse
 
 
 @wp.kernel

@@ -13,7 +13,8 @@ from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.path.contributions import PARTS, PathImages, PathShadowRays
 from lumisplat.device.path.steps import PathData, PathSteps
 from lumisplat.device.structs.rays import RayData
-from lumisplat.renderer.integrators import path_kernels as kernels
+from lumisplat.renderer.integrators import opaque_path_kernels, path_kernels as kernels
+from lumisplat.renderer.integrators.opaque_path_kernels import OpaqueWave
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -48,7 +49,8 @@ class PathIntegrator:
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the kernel modules of a frame, without the modules that find primary hits."""
-        modules = [*self._surfaces.modules(), kernels, *self._tracer.modules(plan, bounced=True)]
+        modules = [kernels, *self._tracer.modules(plan, bounced=True)]
+        modules += [opaque_path_kernels] if plan.shades_opaque_paths else self._surfaces.modules()
         if plan.casts_shadows:
             modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
@@ -104,6 +106,9 @@ class PathIntegrator:
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
         """Evaluates the surfaces that the paths' rays hit; returns the rays' emission, before lights are sampled."""
         # Two sets of buffers suffice: one for the first wave, one for later waves, which end before the next begins.
+        table = f"path.wave{_buffer_index(number)}"
+        if plan.shades_opaque_paths:
+            return self._surfaces.unshaded(plan, hits, min(number, 1), table)
         carried = CarriedState(media=device_array(paths.media) if plan.has_media and number > 0 else None)
         return self._surfaces.shade(
             scene,
@@ -112,7 +117,7 @@ class PathIntegrator:
             min(number, 1),
             carried=carried,
             may_branch=False,
-            table=f"path.wave{_buffer_index(number)}",
+            table=table,
         )
 
     def _add_captured(
@@ -151,15 +156,22 @@ class PathIntegrator:
             self._row("shadows", PathShadowRays, shadows),
             self._row("images", PathImages, images),
         )
-        scattering = number, no_shadows, scene.shading, wave.data, *rows
+        scene_and_wave = scene.shading, wave.data
+        step_row = self._row("steps", PathSteps, steps)
+        is_last = number > plan.max_bounces
         with self._launcher.stage("shade"):
-            run(kernels.add_hit_radiance, count, *scattering, bands=bands)
-            if number <= plan.max_bounces:
-                run(kernels.continue_paths, count, *scattering, self._row("steps", PathSteps, steps), bands=bands)
+            if plan.shades_opaque_paths:
+                inputs = number, no_shadows, is_last, opaque_wave(*scene_and_wave, *rows, step_row)
+                run(opaque_path_kernels.shade_opaque_paths, count, *inputs, bands=bands)
             else:
-                steps.goes_on.zero_()
+                inputs = number, no_shadows, *scene_and_wave, *rows
+                run(kernels.add_hit_radiance, count, *inputs, bands=bands)
+                if is_last:
+                    steps.goes_on.zero_()
+                else:
+                    run(kernels.continue_paths, count, *inputs, step_row, bands=bands)
         visibility = shadows.contributions
-        if plan.casts_shadows and (number <= plan.max_bounces or plan.shows_lights_in_haze):
+        if plan.casts_shadows and (not is_last or plan.shows_lights_in_haze):
             with self._launcher.stage("shadow"):
                 visibility = self._shadows.trace(
                     scene,
@@ -216,6 +228,13 @@ class PathIntegrator:
         shadows = self._buffers.struct("path.shadows", PathShadowRays, total, without)
         shadows.rays = self._buffers.struct("path.shadow_rays", RayData, total)
         return shadows
+
+
+def opaque_wave(*rows: DeviceArray) -> OpaqueWave:
+    """Returns tables as one kernel argument, in the order of the fields."""
+    wave = OpaqueWave()
+    wave.scene, wave.wave, wave.paths, wave.shadows, wave.images, wave.steps = rows
+    return wave
 
 
 def _buffer_index(number: int) -> int:

@@ -20,6 +20,7 @@ from lumisplat.device.light.splat_surface import (
     shown_share,
     splat_interaction,
     splat_surface,
+    store_no_ray,
 )
 from lumisplat.device.material.media import boundary_of_ray, passed_by_ray
 from lumisplat.device.material.microfacets import reflect, refract
@@ -96,19 +97,6 @@ def store_no_lobe(i: int, wave: wp.array[WaveData]):
     slot = 2 * wave[0].path_weights.shape[0] + i
     if wave[0].may_branch != 0 and slot < wave[0].branches.shape[0]:
         wave[0].branches[slot] = 0
-
-
-@wp.func
-def store_no_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes the radiance of an inactive ray: the background for a camera ray, else black."""
-    from_camera = wave[0].from_camera != 0
-    shows = from_camera and scene[0].settings[0].camera_sees != SEES_NOTHING
-    wave[0].radiance.captured[i] = wp.where(from_camera, scene[0].settings[0].background, wp.vec3(0.0))
-    wave[0].radiance.captured_weight[i] = wp.where(shows, 1.0, 0.0)
-    wave[0].radiance.light[i] = wp.vec3(0.0)
-    wave[0].radiance.alpha[i] = 0.0
-    if wave[0].radiance.reflection:
-        wave[0].radiance.reflection[i] = wp.vec3(0.0)
 
 
 @wp.func

@@ -85,6 +85,7 @@ class Surfaces:
                 self._unentered = self._buffers.get("wave.unentered", wp.int32, scene.mesh_instances.shape[0])
                 self._unentered.zero_()
             row = self._row(plan, hits, number, carried or CarriedState(), may_branch=may_branch, on_paths=on_paths)
+            row.interactions = self._interactions(plan, hits.count)
             wave = RayWave(number, hits, row, self._buffers.table(table or f"wave.{number}", WaveData, [row]))
             self._launcher.run_banded(
                 kernels.shade_surfaces,
@@ -93,6 +94,11 @@ class Surfaces:
                 bands=SHADE_BANDS_PER_THREAD * self._launcher.threads,
             )
         return wave
+
+    def unshaded(self, plan: FramePlan, hits: PrimaryHits, number: int, table: str) -> RayWave:
+        """Returns a wave of paths without interactions, whose radiance another kernel writes; arguments as above."""
+        row = self._row(plan, hits, number, CarriedState(), may_branch=False, on_paths=True)
+        return RayWave(number, hits, row, self._buffers.table(table, WaveData, [row]))
 
     def _row(
         self,
@@ -109,7 +115,6 @@ class Surfaces:
         row.from_camera, row.may_branch = int(number == 0), int(may_branch)
         row.traces_paths = int(plan.traces_paths and on_paths)
         row.rays, row.meshes, row.gaussians = hits.rays, hits.meshes, hits.gaussians
-        row.interactions = self._interactions(plan, count)
         row.radiance = self._radiance(plan, count, number)
         row.path_weights = path_weights = get(f"wave.path_weights{number % 2}", wp.float32, count)
         if carried.weights is None:

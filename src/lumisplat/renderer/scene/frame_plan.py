@@ -155,6 +155,8 @@ class FramePlan:
     """True if a headlight at the camera lights the scene, because the scene has no lights."""
     has_meshes: bool
     """True if the scene has mesh instances."""
+    has_only_opaque_meshes: bool
+    """True if all surfaces are meshes without mirrors, glass, clearcoat and sheen, so that paths need fewer kernels."""
     has_media: bool
     """True if rays refract into meshes; rays then store which meshes they are inside."""
     absorbs: bool
@@ -223,6 +225,11 @@ class FramePlan:
         return self.traces_paths or self.integrator is Integrator.DIRECT
 
     @property
+    def shades_opaque_paths(self) -> bool:
+        """True if one kernel does all shading of paths: the scene is simple, and no layer needs parts of the light."""
+        return self.has_only_opaque_meshes and self.aovs <= UNLIT_AOVS and not self.shows_lights_in_haze
+
+    @property
     def has_path_layers(self) -> bool:
         """True if paths record whether their first surface scattered the light diffusely or specularly."""
         return self.traces_paths and bool(self.aovs & set(PATH_PARTS))
@@ -284,6 +291,7 @@ class FramePlan:
             and not scene.lights
             and not (bounces and config.lighting is None and has_emitters(scene)),
             has_meshes=bool(scene.meshes),
+            has_only_opaque_meshes=has_only_opaque_meshes(config, scene),
             has_media=has_media,
             absorbs=has_media and any(map(absorbs, scene.meshes)),
             has_coatings=is_lit and (config.energy_compensation or any(map(has_layers, materials_of(scene)))),
@@ -396,6 +404,15 @@ def materials_of(scene: Scene) -> list[Material]:
     """Returns the materials of all meshes, and of all splat sets that have one."""
     materials: list[Material] = [instance.mesh.material for instance in scene.meshes]
     return materials + [instance.material for instance in scene.splats if instance.material is not None]
+
+
+def has_only_opaque_meshes(config: RenderConfig, scene: Scene) -> bool:
+    """Returns whether a scene has no Gaussians, and only materials whose BSDF has no mirror, glass and layers."""
+    if scene.splats or not scene.meshes or config.energy_compensation:
+        return False
+    materials = materials_of(scene)
+    transmits = any(isinstance(one, MaterialPbr) and one.transmission > 0.0 for one in materials)
+    return not transmits and not any(one.is_smooth or has_layers(one) for one in materials)
 
 
 def reflects_light(scene: Scene) -> bool:
