@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 import lumisplat as ls
 from bench.mitsuba_peer import load_mitsuba
@@ -218,7 +219,7 @@ def mitsuba_mesh(mi: Any, mesh: ls.Mesh, path: Path) -> dict[str, Any]:
 
 def ray_costs(scene: ls.Scene, view: ls.Camera, device: str, clock: Callable[[], float]) -> tuple[float, float]:
     """Returns nanoseconds to find the hits of a camera ray and of a bounced ray."""
-    renderer = ls.create_renderer(config(1), device)
+    renderer = ls.create_renderer(config(1), device, profile=True)  # without graphs, in which nothing is timed
     renderer.render(scene, view)
     least = (float("inf"), float("inf"))
     for _ in range(REPEATS):
@@ -238,9 +239,10 @@ def timed_rays(clock: Callable[[], float]) -> Generator[list[tuple[bool, float, 
     find_hits = RayTracer.find_hits
 
     def timed(tracer: RayTracer, scene: Any, rays: Any, name: str, *, bounced: bool = False, **others: Any) -> Any:
+        count = int(np.count_nonzero(rays.is_active.numpy()))  # waits for a GPU
         begun = clock()
         hits = find_hits(tracer, scene, rays, name, bounced=bounced, **others)
-        count = int(np.count_nonzero(rays.is_active.numpy()))  # waits for a GPU
+        wp.synchronize()
         rows.append((bounced, clock() - begun, max(count, 1)))
         return hits
 

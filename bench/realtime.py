@@ -2,25 +2,29 @@
 
 ``python -m bench.realtime [--only quality,pixels,...]`` prints milliseconds of CPU time over all threads: the median of
 6 frames after 4, alternating with unlit raster frames of the same view. The first table shows the demo scene in each
-quality, the others depend on pixels, Gaussians, lights and models.
+quality, the others depend on pixels, Gaussians, lights and models. The last is the moving room of ``python -m bench.gpu
+--slices realtime``, whose 1.57 million Gaussians and 1920 x 1088 pixels are scaled by ``--scale``.
 """
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 import lumisplat as ls
+from bench.presets import MovingRoom, Preset, synthetic
 
 WARM_FRAMES, FRAMES = 4, 6
 SIZE = 640, 360
 PASSES: tuple[str, ...] = ("surfaces", "direct", "mirrors", "indirect", "filters", "sum", "antialiasing")
 COUNTS = {"gaussians": (100_000, 300_000, 1_000_000, 3_000_000), "lights": (1, 16, 100, 1_000), "models": (1, 10, 50)}
 GROWTH_SIZE = 320, 180
-Case = tuple[str, ls.RenderConfig, ls.Scene, ls.Camera]
+ROOM_SCALE = 0.05
+Case = tuple[str, ls.RenderConfig, Callable[[int], ls.Scene], ls.Camera]
+"""Name, settings, scene by the frame's number, and camera."""
 
 
 def main() -> None:
@@ -28,7 +32,9 @@ def main() -> None:
     from bench.timing import parser, print_head, quiet_warp
 
     tables = {"quality": qualities, "pixels": sizes, **dict.fromkeys(COUNTS, growth)}
+    tables["room"] = lambda _: moving_room(options.scale)
     asked = parser("realtime", __doc__)
+    asked.add_argument("--scale", type=float, default=ROOM_SCALE, help="fraction of the moving room's size")
     asked.add_argument("--only", default=",".join(tables), help="some of " + ", ".join(tables))
     options = asked.parse_args()
     quiet_warp()
@@ -52,20 +58,18 @@ def qualities(_: str) -> Iterator[Case]:
     """Yields the demo scene in each quality."""
     scene = ls.demo_scene_lit()
     for quality in ls.config.RealtimeQuality:
-        yield quality.value, realtime(quality), scene, ls.demo_cameras(*SIZE, count=1)[0]
+        yield quality.value, realtime(quality), lambda _: scene, ls.demo_cameras(*SIZE, count=1)[0]
 
 
 def sizes(_: str) -> Iterator[Case]:
     """Yields the demo scene in two sizes."""
     scene = ls.demo_scene_lit()
     for width, height in (GROWTH_SIZE, SIZE):
-        yield f"{width} x {height}", realtime(), scene, ls.demo_cameras(width, height, count=1)[0]
+        yield f"{width} x {height}", realtime(), lambda _: scene, ls.demo_cameras(width, height, count=1)[0]
 
 
 def growth(name: str) -> Iterator[Case]:
     """Yields a relit synthetic capture with lights and spheres around it, in growing numbers of one of them."""
-    from bench.presets import Preset, synthetic
-
     camera = Preset("", *GROWTH_SIZE, 1).camera()
     for count in COUNTS[name]:
         number = {"gaussians": 100_000, "lights": 1, "models": 10} | {name: count}
@@ -73,7 +77,14 @@ def growth(name: str) -> Iterator[Case]:
         lights = [ls.LightPoint(tuple(at), intensity=6.0 / number["lights"]) for at in ring(number["lights"], 2.2)]
         ball = ls.sphere(0.12)
         balls = [ls.MeshInstance(ball, position=at) for at in ring(number["models"], 1.3)]
-        yield f"{count:,}", realtime(), ls.Scene(splats=[capture], meshes=balls, lights=lights), camera
+        scene = ls.Scene(splats=[capture], meshes=balls, lights=lights)
+        yield f"{count:,}", realtime(), lambda _, scene=scene: scene, camera
+
+
+def moving_room(scale: float) -> Iterator[Case]:
+    """Yields the moving room."""
+    preset = MovingRoom(scale)
+    yield preset.title, preset.config(), preset.scene, preset.camera()
 
 
 def ring(count: int, radius: float) -> np.ndarray:
@@ -82,7 +93,7 @@ def ring(count: int, radius: float) -> np.ndarray:
     return np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, -0.8)], axis=1)
 
 
-def row(label: str, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera) -> str:
+def row(label: str, config: ls.RenderConfig, scene_of: Callable[[int], ls.Scene], camera: ls.Camera) -> str:
     """Returns a row of the table."""
     from lumisplat.runtime.launcher import Launcher
 
@@ -92,7 +103,8 @@ def row(label: str, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera)
     unlit_ms: list[float] = []
     frame_ms: list[float] = []
     pass_ms: list[dict[str, float]] = []
-    for _ in range(WARM_FRAMES + FRAMES):
+    for number in range(WARM_FRAMES + FRAMES):
+        scene = scene_of(number)
         unlit_ms.append(cpu_ms(unlit, scene, camera))
         frame_ms.append(cpu_ms(lit, scene, camera))
         passes = dict.fromkeys(PASSES, 0.0)

@@ -13,13 +13,13 @@ import numpy as np
 import warp as wp
 
 import lumisplat as ls
+from bench.gpu.frames import device_renderer
 from bench.gpu.worker import Finding, Setting
 from lumisplat.demo.shapes import sphere
 from lumisplat.io.images.texture import to_bytes
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.downloads import Downloads
 from lumisplat.runtime.launcher import Launcher
-from support.compare.graph_launcher import GraphLauncher
 from support.kernels import cuda_modules, generated_modules, package_modules
 from support.scenes import lit_scene, raster_scenes, trace_scenes
 
@@ -33,13 +33,6 @@ FRAMES = 6
 """Frames of a real-time sequence."""
 
 Shot = tuple[str, ls.Scene, ls.Camera, ls.RenderConfig]
-
-
-def device_renderer(setting: Setting, config: ls.RenderConfig) -> ls.Renderer:
-    """Returns a renderer on the device; on the CPU with the schedule of GPUs, replayed from graphs."""
-    if setting.device == "cpu":
-        return ls.Renderer(config, GraphLauncher())
-    return ls.create_renderer(config, setting.device)
 
 
 def machine(setting: Setting) -> Iterator[Finding]:

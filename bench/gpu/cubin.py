@@ -7,7 +7,6 @@ tests/project/test_gpu_variants.py compares with ``cuobjdump`` where that is on 
 from __future__ import annotations
 
 import struct
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +47,12 @@ class Resources:
     """Static shared memory of a block, bytes."""
     instructions: int
 
+    def text(self, architecture: int, threads: int) -> str:
+        """Returns all figures in words; the arguments are those of `occupancy`."""
+        warps, most = self.occupancy(architecture, threads)
+        bytes_used = f"{self.stack:,} B stack, {self.shared:,} B shared"
+        return f"{self.registers} registers, {bytes_used}, {self.instructions:,} instructions, {warps} of {most} warps"
+
     def occupancy(self, architecture: int, threads: int) -> tuple[int, int]:
         """Returns how many warps a multiprocessor runs at once, and the most it could.
 
@@ -64,11 +69,9 @@ class Resources:
 
 
 def resources_of(module: Any, architecture: int) -> dict[str, Resources]:
-    """Compiles a Warp module for a compute capability; returns the resources of its kernels by key."""
-    with tempfile.TemporaryDirectory() as folder:
-        found = wp.compile_aot_module(module, arch=[architecture], module_dir=folder, use_ptx=False)
-        (cubin,) = (Path(path) for path in found if str(path).endswith(".cubin"))
-        by_name = read(cubin.read_bytes())
+    """Returns the resources of a Warp module's kernels by key; compiles into the kernel cache what it lacks."""
+    (cubin,) = wp.compile_aot_module(module, arch=[architecture], use_ptx=False)
+    by_name = read(Path(cubin).read_bytes())
     return {
         kernel.key: resources
         for kernel in module.kernels.values()

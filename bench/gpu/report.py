@@ -75,7 +75,7 @@ def run_step(step: Step, setting: Setting, left_s: float) -> Row:
         found.touch()
         script = "import sys; from bench.gpu.worker import main; main(*sys.argv[1:])"
         command = [sys.executable, "-c", script, step.work, json.dumps(asdict(setting)), str(found)]
-        paths = [str(ROOT), str(ROOT / "src"), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")]
+        paths = [str(ROOT), str(ROOT / "src"), os.environ.get("PYTHONPATH", "")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
         status, problem = "ok", ""
         with log.open("wb") as output:
@@ -143,14 +143,19 @@ def finding_lines(finding: Finding) -> Iterator[str]:
 
 
 def write_page(rows: Sequence[Row], path: Path = page.GPU_PAGE) -> list[str]:
-    """Puts the figures of a report's GPU steps into the page; returns what was written."""
+    """Puts the figures of a report into the page; returns what was written.
+
+    Rehearsals on a CPU have figures of compiled code only, which name a machine of their own.
+    """
     found: defaultdict[str, list[tuple[page.Row, page.Origin]]] = defaultdict(list)
     for row in rows:
-        for finding in row.findings if row.setting["device"] != "cpu" else []:
-            if finding.figure:
-                region, *cells = finding.figure
-                command = f'`python -m bench.gpu --device cuda --steps "{row.step}"`'
-                found[region].append((page.Row(*cells), page.Origin(row.machine, row.date, command)))
+        for finding in row.findings:
+            region, *cells = finding.figure or ("",)
+            machine = cells.pop() if len(cells) > 4 else ""
+            if cells and (machine or row.setting["device"] != "cpu"):
+                device = "cpu" if machine else "cuda"
+                command = f'`python -m bench.gpu --device {device} --steps "{row.step}"`'
+                found[region].append((page.Row(*cells), page.Origin(machine or row.machine, row.date, command)))
     for region, figures in found.items():
         page.replace_rows(path, region, figures)
     return [figure.what for figures in found.values() for figure, _ in figures]

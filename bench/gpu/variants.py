@@ -224,11 +224,7 @@ def static(group: Group, variant: Variant, architectures: Sequence[int]) -> dict
         for kernel in group.kernels():
             for architecture in architectures:
                 found = resources_of(kernel.module, architecture)[kernel.key]
-                threads = block_threads(kernel)
-                warps, most = found.occupancy(architecture, threads)
-                figures = f"{found.registers} / {found.stack} / {found.shared} / {found.instructions}"
-                row[f"sm_{architecture}: registers / stack / shared / instructions"] = figures
-                row[f"sm_{architecture}: warps"] = f"{warps} of {most}"
+                row[f"sm_{architecture}"] = found.text(architecture, block_threads(kernel))
     return row
 
 

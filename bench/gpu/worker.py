@@ -17,7 +17,8 @@ class Finding(NamedTuple):
     """JSON value; a list of objects is shown as a table."""
     is_wrong: bool = False
     figure: tuple[str, ...] = ()
-    """Row of docs/benchmarks_gpu.md: region of the page, then the cells of a ``page.Row``."""
+    """Row of docs/benchmarks_gpu.md: region of the page, the cells of a ``page.Row``, and the machine if it is not the
+    device of the step."""
 
 
 @dataclass(frozen=True)

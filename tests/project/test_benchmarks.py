@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from bench import page, timing
 from bench.__main__ import benchmarks
+from bench.gpu.beside_gsplat import beside
 from bench.gpu.report import Row as StepRow, write_page as write_gpu_page
-from bench.gpu.times import beside
 from bench.gpu.worker import Finding
 from bench.presets import LIGHT, RASTER, TRACE
 from bench.report import Results, write_page
@@ -97,7 +97,7 @@ def test_every_benchmark_row_has_a_machine_a_date_and_a_command(path: Path) -> N
 def test_each_table_that_a_benchmark_writes_has_its_place_on_a_benchmark_page() -> None:
     """Each region between comments holds one table of the page's form."""
     assert page.regions(page.CPU_PAGE).keys() == {"raster", "trace", "paths", "light", "start"}
-    assert page.regions(page.GPU_PAGE).keys() == {"gsplat"}
+    assert page.regions(page.GPU_PAGE).keys() == {"gsplat", "frames", "rays", "realtime", "training", "compiled"}
     for lines in [*page.regions(page.CPU_PAGE).values(), *page.regions(page.GPU_PAGE).values()]:
         assert lines[0] == page.line(page.HEAD)
         assert all(line.startswith("| ") for line in lines)

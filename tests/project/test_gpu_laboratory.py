@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +13,9 @@ from bench import ROOT
 from bench.gpu.__main__ import SLICES
 from bench.gpu.report import Step, read_report, run_steps
 from bench.gpu.worker import Setting
+from bench.presets import MovingRoom
+
+import lumisplat as ls
 
 NAMES = ("raises", "dies", "hangs", "finds", "skips", "passes")
 
@@ -43,7 +47,7 @@ def test_gpu_laboratory_runs_the_same_steps_on_a_cpu_as_on_a_gpu(tmp_path: Path)
     """The run rehearses the command on a machine without a GPU."""
     command = [sys.executable, "-m", "bench.gpu", "--device", "cpu", "--out", str(tmp_path), "--every", "16"]
     done = subprocess.run(
-        [*command, "--steps", "machine", "small raster frames", "sorts, times", "--sizes", "1000"],
+        [*command, "--steps", "machine", "small raster frames", "rasterised", "--sizes", "1000", "--width", "64"],
         cwd=ROOT,
         env={"PATH": "", "PYTHONPATH": f"{ROOT}:{ROOT}/src", "HOME": str(Path.home())},
         capture_output=True,
@@ -55,8 +59,13 @@ def test_gpu_laboratory_runs_the_same_steps_on_a_cpu_as_on_a_gpu(tmp_path: Path)
     assert [(row["step"], row["status"]) for row in rows] == [
         ("machine", "ok"),
         ("small raster frames", "ok"),
-        ("sorts, times", "ok"),
+        ("rasterised", "ok"),
     ]
+    (what, text) = next(finding[3][1:3] for finding in rows[2]["findings"] if finding[3])
+    assert what == "rasterised, 1,000 synthetic Gaussians, 64 x 36" and re.fullmatch(
+        r"[\d.]+ ms, on the device [\d.]+ ms", text
+    )
+    assert "| machine | ok |" in (tmp_path / "gpu.md").read_text()
 
 
 def test_every_step_of_the_gpu_laboratory_is_an_existing_function() -> None:
@@ -77,3 +86,16 @@ def test_gpu_laboratory_keeps_the_steps_of_earlier_runs_in_its_report(tmp_path: 
     run_steps([steps["finds"], steps["passes"]], setting, tmp_path, 200.0)
     run_steps([replace(steps["finds"], work="support.failing_steps:skips")], setting, tmp_path, 200.0)
     assert [(row.step, row.status) for row in read_report(tmp_path)] == [("passes", "ok"), ("finds", "skipped")]
+
+
+def test_moving_room_has_its_gaussians_in_view_and_moves_lights_and_a_capture() -> None:
+    """At scale 1 it has 1.57 million Gaussians and 1920 x 1088 pixels; a hundredth has a hundredth of both."""
+    assert (MovingRoom().count, MovingRoom().size) == (1_570_000, (1920, 1088))
+    preset = MovingRoom(0.01)
+    assert (preset.count, preset.size) == (15_700, (192, 112))
+    now, later = preset.scene(0), preset.scene(10)
+    assert sum(repr(a) != repr(b) for a, b in zip(now.lights, later.lights, strict=True)) == 4 and len(now.lights) == 5
+    moved = [(a.transform != b.transform).any() for a, b in zip(now.splats, later.splats, strict=True)]
+    assert moved == [True, False, False, False, False] and now.splats[0].gaussians is later.splats[0].gaussians
+    frame = ls.create_renderer(ls.RenderConfig(lighting=False), "cpu").render(later, preset.camera())
+    assert frame.stats is not None and frame.stats.visible_count > 0.99 * preset.count
