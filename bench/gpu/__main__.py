@@ -88,7 +88,7 @@ SLICES: dict[str, tuple[Step, ...]] = {
         step("delight", "training:delight_capture", 240.0),
     ),
     "variants": (
-        *(step(f"variants, {name}", f"variants:compare:{name}", 200.0) for name in GROUPS),
+        *(step(f"variants, {name}", f"variants:compare:{name}", 300.0) for name in GROUPS),
         step("hot kernels", "compiled:hot_kernels", 300.0),
     ),
 }

@@ -38,7 +38,7 @@ from lumisplat.runtime.launcher import block_threads
 
 WARM, REPEATS = 2, 7
 """Frames of each variant before the timed ones, and timed frames."""
-COUNTED_WIDTH = 480
+COUNTED_WIDTH = 240
 """Width of the frame whose loads are counted on the CPU, pixels; bytes of a ray hardly depend on it."""
 LAYERS = ("color", "alpha", "normal", "depth")
 COUNTERS = {
@@ -149,14 +149,14 @@ GROUPS = {
 def compare(setting: Setting, name: str) -> Iterator[Finding]:
     """Times the variants of a group in turns, checks their frames, and reports what their kernels need.
 
-    The last finding is a table with a row per variant. Earlier ones keep what is known if a variant fails.
+    The last findings are tables with a row per variant. Earlier ones keep what is known if a variant fails.
     """
     group = GROUPS[name]
     architectures = setting.architectures or [wp.get_device(setting.device).arch]
     rows = {variant.name: dict[str, object]() for variant in group.variants}
     for variant in group.variants:
         rows[variant.name] |= static(group, variant, architectures)
-    yield Finding("compiled", list(rows.items()))
+    yield Finding("compiled", [{"variant": name, **row} for name, row in rows.items()])
     scene, camera = group.subject(setting)
     frames: dict[str, ls.Frame] = {}
     renderers = {variant.name: made(group, variant, setting.device) for variant in group.variants}
@@ -175,15 +175,12 @@ def compare(setting: Setting, name: str) -> Iterator[Finding]:
     rays = camera.width * camera.height
     for variant in group.variants:
         middle = statistics.median(times[variant.name])
-        row = rows[variant.name] = {
-            "kernels, ms": round(middle, 3),
-            "ns a camera ray": round(1e6 * middle / rays, 2),
-            **rows[variant.name],
-        }
+        measured = {"kernels, ms": round(middle, 3), "ns a camera ray": round(1e6 * middle / rays, 2)}
+        rows[variant.name] = {"variant": variant.name, **measured, **rows[variant.name]}
         apart = difference(frames[variant.name], first)
         yield Finding(f"{variant.name}: largest difference", apart, is_wrong=not apart <= group.tolerance)
-        row |= moved_bytes(setting, group, variant)
-    yield Finding("variants", [{"variant": variant, **row} for variant, row in rows.items()])
+    yield Finding("variants", list(rows.values()))
+    yield Finding("bytes", [{"variant": one.name, **moved_bytes(setting, group, one)} for one in group.variants])
 
 
 @contextmanager
@@ -219,13 +216,14 @@ def made(group: Group, variant: Variant, device: str, **more: object) -> tuple[l
 
 def static(group: Group, variant: Variant, architectures: Sequence[int]) -> dict[str, object]:
     """Returns registers, stack, shared memory, instructions and occupancy of a variant's kernels, by architecture."""
-    row: dict[str, object] = {}
     with changed(group, variant):
-        for kernel in group.kernels():
-            for architecture in architectures:
-                found = resources_of(kernel.module, architecture)[kernel.key]
-                row[f"sm_{architecture}"] = found.text(architecture, block_threads(kernel))
-    return row
+        return {
+            f"sm_{architecture}": "; ".join(
+                resources_of(kernel.module, architecture)[kernel.key].text(architecture, block_threads(kernel))
+                for kernel in group.kernels()
+            )
+            for architecture in architectures
+        }
 
 
 def difference(frame: ls.Frame, other: ls.Frame) -> float:
