@@ -12,7 +12,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.bvh.packet import PACKET_OPTIONS
-from lumisplat.renderer.trace import gaussian_trace_kernels
+from lumisplat.renderer.trace import gaussian_trace, gaussian_trace_kernels
 from lumisplat.runtime.launcher import Launcher
 from support.compare.backends import renderer_of
 from support.compare.images import assert_close, assert_images_alike
@@ -229,6 +229,26 @@ def test_length_of_the_hit_list_does_not_change_the_traced_frame(hit_distance: l
     for frame in frames[1:]:
         for name in IMAGES:
             assert_close(getattr(frame, name), getattr(frames[0], name), atol=2e-6, name=name)
+
+
+@pytest.mark.parametrize("transmittance_min", [0.3, 0.03, 1e-4])
+@pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
+def test_rays_that_end_early_blend_the_same_hits_with_short_lists(
+    backend: str, hit_distance: ls.config.HitDistance, transmittance_min: float
+) -> None:
+    """Lists drop what lies behind enough opaque hits; lists of 2 or 5 hits may drop some of these, too."""
+    gaussians = random_gaussians(62, 400, 1, (0.0, 0.0, 3.0), (1.0, 0.8, 2.0), scale_range=(0.1, 0.6))
+    gaussians = replace(gaussians, opacities=np.random.default_rng(62).uniform(0.05, 0.9, 400))
+    config = settings(hit_distance=hit_distance, transmittance_min=transmittance_min)
+    frames: list[ls.Frame] = []
+    for slots in (32, 5, 2):
+        with pytest.MonkeyPatch.context() as patch:
+            for name in ("HIT_BUFFER_CPU", "HIT_BUFFER_CUDA"):
+                patch.setattr(gaussian_trace, name, slots)
+            frames.append(renderer_of(backend, config).render(ls.Scene([gaussians]), view()))
+    for frame in frames[1:]:
+        assert_equal(frame, frames[0])
+    assert np.median(frames[0].alpha) > 1.0 - transmittance_min
 
 
 def inside() -> ls.Scene:

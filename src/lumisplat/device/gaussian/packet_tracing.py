@@ -45,6 +45,11 @@ HIT_FAR: int = wp.constant(1)
 HIT_NEAR: int = wp.constant(2)
 """Kind of hit: so close to the ray's origin that it counts only if the Gaussian is of another surface layer."""
 
+COVER_MARGIN = 1e-3
+"""Fraction of the smallest transmittance by which listed hits must be more opaque, so that none behind them matters.
+
+It exceeds the rounding of products of many transmittances."""
+
 PASS_REWIND = 1e-4
 """A new pass of a ray starts nearer than the last blended hit by this fraction of the hit's distance.
 
@@ -223,6 +228,8 @@ def packet_hits_of(lanes: int) -> PacketHits:
 
 REWIND = wp.constant(wp.float32(PASS_REWIND))
 
+COVER = wp.constant(wp.float32(1.0 - COVER_MARGIN))
+
 
 @struct
 class RayProgress:
@@ -238,6 +245,12 @@ class RayProgress:
     last_t: float
     """Distance of the farthest hit blended so far."""
     last_index: int
+    transmittance: float
+    """Transmittance behind all hits that are blended."""
+    behind: float
+    """Transmittance behind all hits that are blended or in ``hit_list``."""
+    is_covered: int
+    """1: the hits in ``hit_list`` end the ray, so that it needs no hits behind them and no further pass."""
     blended: int
     """STRATEGY_PASS: number of hits blended since the last random decision whether the ray ends."""
 
@@ -263,6 +276,8 @@ def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
     progress.next_t = FAR
     progress.start_t = progress.last_t
     progress.start_index = progress.last_index
+    progress.behind = progress.transmittance
+    progress.is_covered = 0
 
 
 @wp.func
@@ -349,6 +364,7 @@ def blend_hits(
             is_opaque = True
             head = tail
     store_pixel(radiance, i, pixel)
+    progress.transmittance = pixel.transmittance
     progress.hit_list.head = head
     progress.next_t = FAR
     if head < tail:
@@ -359,12 +375,43 @@ def blend_hits(
 
 
 @wp.func
+def end_at_cover(
+    progress: wp.ref[RayProgress], hits: wp.array[Hit], alpha: float, dropped: Hit, transmittance_min: float
+) -> Hit:
+    """Removes hits that a ray cannot reach from its list, after a hit of this ``alpha`` was added to the list.
+
+    Hits found later only make the ray end earlier. ``dropped`` is the hit that the full list had to drop.
+
+    Returns:
+        The last hit in the list, if the ray ends there at the latest; else a hit with distance FAR.
+    """
+    behind = progress.behind * (1.0 - alpha)
+    if dropped.t < FAR:
+        behind = behind / (1.0 - dropped.alpha)
+    last = int(progress.hit_list.tail) - 1
+    opaque = COVER * transmittance_min
+    while last > progress.hit_list.head and behind <= opaque * (1.0 - hits[last].alpha):
+        behind = behind / (1.0 - hits[last].alpha)
+        last -= 1
+    progress.hit_list.tail = last + 1
+    progress.behind = behind
+    cut = Hit()
+    cut.t = FAR
+    progress.is_covered = 0
+    if behind <= opaque:
+        progress.is_covered = 1
+        cut = hits[last]
+    return cut
+
+
+@wp.func
 def begin_rays(traced: TracedPacket):
     """Resets the blending progress of all rays of a packet."""
     for lane in range(traced.rays.shape[0]):
         traced.rays[lane].last_t = -FAR
         traced.rays[lane].last_index = -1
         traced.rays[lane].blended = 0
+        traced.rays[lane].transmittance = 1.0
 
 
 @wp.func
@@ -433,7 +480,8 @@ def is_cut(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> bool:
     """Returns whether a list of the packet, or of its group of CUDA threads, dropped hits: another pass is due."""
     found = float(0.0)
     for lane in range(traced.rays.shape[0]):
-        found = larger(found, wp.where(traced.cut_t[lane] < end_of_hits(packet.limit[lane], scene), 1.0, 0.0))
+        is_short = traced.cut_t[lane] < end_of_hits(packet.limit[lane], scene) and traced.rays[lane].is_covered == 0
+        found = larger(found, wp.where(is_short, 1.0, 0.0))
     return largest_of(packet.group, found) > 0.0
 
 
@@ -557,6 +605,11 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
                 if dropped.t < FAR:
                     traced.cut_t[lane] = dropped.t
                     traced.cut_index[lane] = dropped.index
+                if config.transmittance_min > 0.0:
+                    cut = end_at_cover(traced.rays[lane], traced.hits, alpha[lane], dropped, config.transmittance_min)
+                    if cut.t < FAR:
+                        traced.cut_t[lane] = cut.t
+                        traced.cut_index[lane] = cut.index
                 next_hit = traced.hits[traced.rays[lane].hit_list.head]
                 traced.rays[lane].next_t = next_hit.t
                 nearest = lesser(nearest, next_hit.t)
