@@ -13,7 +13,7 @@ from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.path.contributions import PARTS, PathImages, PathShadowRays
 from lumisplat.device.path.steps import PathData, PathSteps
 from lumisplat.device.structs.rays import RayData
-from lumisplat.renderer.integrators import opaque_path_kernels, path_kernels as kernels
+from lumisplat.renderer.integrators import opaque_path_kernels, path_kernels, path_wave_kernels
 from lumisplat.renderer.integrators.opaque_path_kernels import OpaqueWave
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -49,8 +49,8 @@ class PathIntegrator:
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the kernel modules of a frame, without the modules that find primary hits."""
-        modules = [kernels, *self._tracer.modules(plan, bounced=True)]
-        modules += [opaque_path_kernels] if plan.shades_opaque_paths else self._surfaces.modules()
+        modules = [path_wave_kernels, *self._tracer.modules(plan, bounced=True)]
+        modules += [opaque_path_kernels] if plan.shades_opaque_paths else [path_kernels, *self._surfaces.modules()]
         if plan.casts_shadows:
             modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
@@ -100,7 +100,7 @@ class PathIntegrator:
     def _begin(self, plan: FramePlan, hits: PrimaryHits) -> PathData:
         """Returns a new path for each camera ray."""
         paths = self._paths(plan, 0, hits.count)
-        self._launcher.run_banded(kernels.begin_paths, hits.count, self._row("paths0", PathData, paths))
+        self._launcher.run_banded(path_wave_kernels.begin_paths, hits.count, self._row("paths0", PathData, paths))
         return paths
 
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
@@ -130,19 +130,19 @@ class PathIntegrator:
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
         rows = self._row("paths1", PathData, paths), self._row("images", PathImages, images)
         ends = self._buffers.get("path.receiver_ends", wp.float32, count)
-        run(kernels.leave_receivers, count, wave.data, rows[0], ends)
+        run(path_kernels.leave_receivers, count, wave.data, rows[0], ends)
         captured = self._tracer.find_captured(scene, wave.row.rays, ends, "path.captured")
-        run(kernels.add_captured_light, count, no_shadows, scene.shading, wave.data, rows[0], captured, rows[1])
+        run(path_kernels.add_captured_light, count, no_shadows, scene.shading, wave.data, rows[0], captured, rows[1])
         if plan.ambient_rays == 0:
             return
         ambient = self._buffers.struct("path.ambient_rays", RayData, count)
         skips = self._buffers.get("path.ambient_skips", wp.bool, count)
-        run(kernels.start_ambient_rays, count, wave.data, *rows, ambient, skips)
+        run(path_kernels.start_ambient_rays, count, wave.data, *rows, ambient, skips)
         with self._launcher.stage("shadow"):
             visibility = self._shadows.trace(
                 scene, ambient, skips, "path.open", splat_shadows=plan.splat_shadows, incoherent=True
             )
-        run(kernels.add_ambient_visibility, count, ambient, visibility, *rows)
+        run(path_kernels.add_ambient_visibility, count, ambient, visibility, *rows)
 
     def _extend(
         self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, images: PathImages
@@ -165,11 +165,11 @@ class PathIntegrator:
                 run(opaque_path_kernels.shade_opaque_paths, count, *inputs, bands=bands)
             else:
                 inputs = number, no_shadows, *scene_and_wave, *rows
-                run(kernels.add_hit_radiance, count, *inputs, bands=bands)
+                run(path_kernels.add_hit_radiance, count, *inputs, bands=bands)
                 if is_last:
                     steps.goes_on.zero_()
                 else:
-                    run(kernels.continue_paths, count, *inputs, step_row, bands=bands)
+                    run(path_kernels.continue_paths, count, *inputs, step_row, bands=bands)
         visibility = shadows.contributions
         if plan.casts_shadows and (not is_last or plan.shows_lights_in_haze):
             with self._launcher.stage("shadow"):
@@ -183,7 +183,9 @@ class PathIntegrator:
                     splat_shadows=plan.splat_shadows,
                     incoherent=True,
                 )
-        run(kernels.add_sampled_light, count, number, scene.shading, wave.data, *rows[:2], visibility, rows[2])
+        run(
+            path_wave_kernels.add_sampled_light, count, number, scene.shading, wave.data, *rows[:2], visibility, rows[2]
+        )
         prefix_sum(device_array(steps.goes_on), device_array(steps.next_ends), inclusive=True)
         return steps
 
@@ -198,7 +200,7 @@ class PathIntegrator:
             rays,
             self._row(f"paths{number % 2}", PathData, next_paths),
         )
-        self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
+        self._launcher.run_banded(path_wave_kernels.spawn_paths, wave.count, wave.data, *rows)
 
     def _row(self, name: str, struct: type[Struct], arrays: Struct) -> DeviceArray:
         """Returns a struct of path arrays as a table with one row. Each thread would copy a struct passed by value.
