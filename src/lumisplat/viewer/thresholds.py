@@ -11,12 +11,12 @@ SETTLED_S = 0.25
 seconds. Shorter times would make full and reduced frames alternate when the scene changes in steps.
 """
 
-SETTLED_GAPS = 2.0
+SETTLED_GAPS = 3.0
 """A camera that has sent no message for this many times the usual gap between messages of its motion has stopped."""
 
-GAP_DECAY = 0.8
+GAP_DECAY = 0.9
 """Factor per message on the largest recent gap between two messages of a camera, so that the gaps before a motion are
-forgotten within a dozen messages."""
+forgotten within two dozen messages."""
 
 INTERRUPT_S = 0.5
 """Interval at which the main thread wakes to handle Ctrl+C, seconds; the longest delay until the viewer ends."""
