@@ -31,9 +31,10 @@ from bench.presets import Preset, synthetic
 from lumisplat.constants import TRAVERSE_STACK_SMALL
 from lumisplat.device.bvh.packet import child_entries, packet_of
 from lumisplat.device.gaussian.packet_tracing import packet_tracing_of
-from lumisplat.device.structs.bvh import Node, Particle, Slabs
-from lumisplat.renderer.trace import gaussian_trace_kernels, seen_gaussian_kernels
+from lumisplat.device.structs.bvh import Candidate, Node, Particle, Slabs
+from lumisplat.renderer.trace import gaussian_trace_kernels, seen_gaussian_kernels, tile_trace_kernels
 from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kernel
+from lumisplat.renderer.trace.tile_trace_kernels import tile_trace_kernel
 from lumisplat.runtime.launcher import block_threads
 
 WARM, REPEATS = 2, 7
@@ -82,34 +83,49 @@ class Group:
 
 
 def traced_synthetic(setting: Setting) -> tuple[ls.Scene, ls.Camera]:
-    """Returns the synthetic set of the benchmarks."""
+    """Returns the synthetic set of the benchmarks, whose camera rays use lists of Gaussians by tiles."""
     count = setting.sizes[0]
     camera = Preset("variants", setting.width, setting.width * 9 // 16, count).camera()
     return ls.Scene(splats=[synthetic(count)]), camera
+
+
+def traversed_synthetic(setting: Setting) -> tuple[ls.Scene, ls.Camera]:
+    """Returns the synthetic set seen through a tiny aperture, with which camera rays traverse BVHs."""
+    scene, camera = traced_synthetic(setting)
+    return scene, replace(camera, aperture=1e-6, focus_distance=3.0)
 
 
 TRACER = "lumisplat.renderer.trace.gaussian_trace_kernels"
 TRACED = Group(
     name="",
     config=ls.RenderConfig(pipeline=ls.Pipeline.TRACE),
-    subject=traced_synthetic,
+    subject=traversed_synthetic,
     kernels=lambda: [gaussian_trace_kernels.gaussian_trace_kernel(1, TRAVERSE_STACK_SMALL)],
     factories=(packet_of, packet_tracing_of, gaussian_trace_kernel),
     loads={"lumisplat.device.bvh.packet:load_node": Node, f"{TRACER}:load_particle": Particle},
     variants=(Variant("code"),),
 )
-"""Camera rays through sorted hits, without variants."""
+"""Camera rays through BVHs and sorted hits, without variants."""
+TILES = "lumisplat.renderer.trace.tile_trace_kernels"
+LISTED = replace(
+    TRACED,
+    subject=traced_synthetic,
+    kernels=lambda: [tile_trace_kernels.tile_trace_kernel(1)],
+    factories=(packet_of, packet_tracing_of, tile_trace_kernel),
+    loads={f"{TILES}:load_candidate": Candidate, f"{TILES}:load_particle": Particle},
+)
+"""Camera rays through lists of Gaussians by tiles and sorted hits, without variants."""
 
 
 def hit_list(slots: int) -> Variant:
     """Returns the tracer with another length of a ray's list of hits."""
-    names = ("lumisplat.device.gaussian.packet_tracing", "lumisplat.renderer.trace.gaussian_trace")
+    names = ("lumisplat.device.gaussian.packet_tracing", "lumisplat.renderer.trace.trace_settings")
     return Variant(f"{slots} hits", {f"{name}:HIT_BUFFER_CUDA": slots for name in names})
 
 
-def thread_block(threads: int, blocks: int) -> Variant:
-    """Returns the tracer with another thread block, which also sets how many registers a thread may use."""
-    return Variant(f"{threads} threads, {blocks} blocks", {f"{TRACER}:PACKET_BOUNDS": (threads, blocks)})
+def thread_block(threads: int, blocks: int, tracer: str = TRACER) -> Variant:
+    """Returns a tracer with another thread block, which also sets how many registers a thread may use."""
+    return Variant(f"{threads} threads, {blocks} blocks", {f"{tracer}:PACKET_BOUNDS": (threads, blocks)})
 
 
 @wp.func
@@ -141,6 +157,17 @@ GROUPS = {
             variants=(Variant("code"), Variant("per hit", COLORS_PER_HIT)),
             tolerance=1e-5,
         ),
+        replace(
+            LISTED,
+            name="lists by tiles",
+            variants=(
+                Variant("code"),
+                *map(hit_list, (16, 48)),
+                *(thread_block(*size, TILES) for size in ((128, 3), (128, 6), (256, 2))),
+                *(Variant(f"blended after {step}", {f"{TILES}:BLEND_STEP_CUDA": step}) for step in (4, 8, 32)),
+            ),
+        ),
+        replace(LISTED, name="stochastic hit by tiles", config=STOCHASTIC),
     )
 }
 """Groups by name; the first variant of each is the code as it stands."""

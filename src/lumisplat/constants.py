@@ -257,6 +257,9 @@ RAY_BLOCK_PX = 4
 PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
 """Rays in a packet, which the CPU traces together; ray counts are rounded up to multiples of it."""
 
+RAY_TILE_PX = 8
+"""Side, in pixels, of the tiles that list the Gaussians which camera rays may hit; a multiple of `RAY_BLOCK_PX`."""
+
 RAY_BANDS_PER_THREAD = 32
 """Bands (ranges of rays) per CPU thread when tracing: the cost of ray packets varies more than the cost of tiles."""
 

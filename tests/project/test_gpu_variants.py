@@ -91,7 +91,7 @@ def test_variant_whose_frame_differs_is_reported_as_wrong(monkeypatch: pytest.Mo
 
 
 def test_loads_of_a_ray_are_counted_on_the_cpu() -> None:
-    """A ray through a single Gaussian loads the world's root, the set's root, and the Gaussian."""
+    """A ray to a single Gaussian loads the world's root, the set's root, and the Gaussian; by tiles, its bounds."""
 
     def single(setting: Setting) -> tuple[ls.Scene, ls.Camera]:
         one = ls.Gaussians(
@@ -99,7 +99,14 @@ def test_loads_of_a_ray_are_counted_on_the_cpu() -> None:
         )
         return ls.Scene([one]), ls.Camera.look_at((0.0, 0.0, -9.0), (0.0, 0.0, 0.0), width=setting.width, height=8)
 
-    group = replace(variants.TRACED, subject=single)
+    def through_lens(setting: Setting) -> tuple[ls.Scene, ls.Camera]:
+        scene, camera = single(setting)
+        return scene, replace(camera, aperture=1e-6, focus_distance=9.0)
+
+    group = replace(variants.LISTED, subject=single)
+    found = variants.moved_bytes(SETTING, group, group.variants[0])
+    assert found["Candidates a ray (CPU)"] == found["Particles a ray (CPU)"] == 1.0
+    group = replace(variants.TRACED, subject=through_lens)
     found = variants.moved_bytes(SETTING, group, group.variants[0])
     node, gaussian = (wp.types.type_size_in_bytes(struct) for struct in group.loads.values())
     assert found["Nodes a ray (CPU)"] == 2.0 and found["Particles a ray (CPU)"] == 1.0
@@ -109,7 +116,7 @@ def test_loads_of_a_ray_are_counted_on_the_cpu() -> None:
 def test_times_of_kernels_are_summed_by_name() -> None:
     """Each launch of a frame is counted."""
     launcher = KernelLauncher("cpu")
-    scene, camera = variants.traced_synthetic(SETTING)
+    scene, camera = variants.traversed_synthetic(SETTING)
     ls.Renderer(variants.TRACED.config, launcher).render(scene, camera)
     (kernel,) = variants.TRACED.kernels()
     assert launcher.launches[kernel.key] == 1 and launcher.kernel_ms[kernel.key] > 0.0

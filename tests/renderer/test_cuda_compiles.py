@@ -32,7 +32,8 @@ def test_cuda_compile_test_finds_the_expected_kernel_modules() -> None:
     }
     assert {f"lumisplat.renderer.raster.{name}" for name in raster} <= {*MODULES}
     rays = Counter(name.partition("__")[0] for name in GENERATED)
-    assert rays == {"gaussian_trace_kernel": 2, "shadow_kernel": 2, "first_hits_shadow_kernel": 2}
+    by_bvh = {"gaussian_trace_kernel": 2, "shadow_kernel": 2, "first_hits_shadow_kernel": 2}
+    assert rays == {**by_bvh, "tile_trace_kernel": 1}
 
 
 @ARCHITECTURES

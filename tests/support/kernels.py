@@ -15,6 +15,7 @@ import lumisplat
 from lumisplat.constants import PACKET_RAYS, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.renderer.shadow.gaussian_shadow_kernels import first_hits_shadow_kernel, shadow_kernel
 from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kernel
+from lumisplat.renderer.trace.tile_trace_kernels import tile_trace_kernel
 from lumisplat.runtime.launcher import Launcher
 
 CUDA_ARCHITECTURE = 86
@@ -39,12 +40,13 @@ def cuda_modules() -> list[wp.Module]:
 
 
 def generated_modules(*, parallel: bool) -> list[Any]:
-    """Returns the Warp modules generated for a schedule: rays through Gaussians, and their shadow rays."""
+    """Returns the Warp modules generated for a schedule: rays through BVHs, shadow rays, and camera rays by tiles."""
+    by_tiles = tile_trace_kernel(1 if parallel else PACKET_RAYS).module
     kernels_of_lanes = (gaussian_trace_kernel, shadow_kernel, first_hits_shadow_kernel)
     if not parallel:
-        return [kernel_of(PACKET_RAYS).module for kernel_of in kernels_of_lanes]
+        return [by_tiles, *(kernel_of(PACKET_RAYS).module for kernel_of in kernels_of_lanes)]
     stacks = (TRAVERSE_STACK_SMALL, TRAVERSE_STACK)
-    return [kernel_of(1, stack).module for kernel_of in kernels_of_lanes for stack in stacks]
+    return [by_tiles, *(kernel_of(1, stack).module for kernel_of in kernels_of_lanes for stack in stacks)]
 
 
 def probe_modules() -> list[wp.Module]:

@@ -50,6 +50,7 @@ from lumisplat.renderer.light.light_warnings import LightWarnings
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.raster_hits import RasterHits
+from lumisplat.renderer.raster.ray_tiles import RayTiles
 from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.raster.unlit_raster import UnlitRaster
 from lumisplat.renderer.raster.unscented_raster import UnscentedRaster
@@ -60,6 +61,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import CapturedLight, FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_lists import RayLists
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -104,6 +106,9 @@ class Renderer:
         self._unscented = UnscentedRaster(launcher, buffers, config, binning)
         self._camera_rays = CameraRays(launcher, buffers)
         self._tracer = RayTracer(launcher, buffers, config)
+        self._ray_tiles = RayTiles(launcher, buffers, config, binning)
+        self._lists: RayLists | None = None
+        """Gaussians that the camera rays of the current frame may hit; None: the rays traverse BVHs."""
         self._integrators = Integrators(launcher, buffers, config, self._tracer)
         self._film = Film(launcher, buffers)
         self._queries = RayQueries(launcher, buffers, config, self._tracer, self._integrators)
@@ -121,7 +126,7 @@ class Renderer:
         self._catchers: Renderer | None = None
         """Renderer of the frames that measure shadows on catcher meshes; None until a scene has such meshes."""
         if compiles:
-            self._load(self._modules(FramePlan.of(config, Scene())))
+            self._load(self._modules(self._plan_of(Scene())))
 
     @property
     def device(self) -> str:
@@ -146,7 +151,7 @@ class Renderer:
             for caught in catcher_scenes(scene):
                 modules += self._catcher_renderer()._modules_of(caught)
             scene = without_catcher_meshes(scene)
-        plan = FramePlan.of(self.config, scene)
+        plan = self._plan_of(scene)
         check_aovs(self.config, plan)
         if plan.rasterises:
             check_projection(self.config)
@@ -157,9 +162,9 @@ class Renderer:
         modules: list[KernelModule] = []
         if uses_captured_light(self.config, scene):  # the plan has a headlight if captures do not surround the meshes
             light = CapturedLight(visible=False, casts_shadow=False)
-            modules += self._modules(FramePlan.of(self.config, replace(scene, lights=(light,))), encodes=encode)
+            modules += self._modules(self._plan_of(replace(scene, lights=(light,))), encodes=encode)
             modules += self._unlit_raster.modules(has_meshes=False)
-        return [*modules, *self._modules(FramePlan.of(self.config, scene), encodes=encode)]
+        return [*modules, *self._modules(self._plan_of(scene), encodes=encode)]
 
     def _modules(self, plan: FramePlan, *, bounced: bool = False, encodes: bool = False) -> list[KernelModule]:
         """Returns the kernel modules of a plan's frames or, if ``bounced``, of a caller's rays that start at surfaces.
@@ -175,6 +180,8 @@ class Renderer:
             hits = self._raster.modules(plan)
         else:
             hits = self._tracer.modules(plan, bounced=bounced)
+            if plan.lists_gaussians:
+                hits = [*self._tracer.camera_modules(plan), *self._ray_tiles.modules()]
         return [*hits, *self._integrators.of(plan).modules(plan), *self._camera_rays.modules(), *others]
 
     def render(
@@ -221,7 +228,7 @@ class Renderer:
                 )
             return self._with_caught_shadows(scene, camera, progress, stop)
         scene = self._with_captured_light(scene)
-        plan = FramePlan.of(self.config, scene)
+        plan = self._plan_of(scene, camera)
         if plan.rasterises and not plan.is_unscented and camera.is_distorted:
             refuse_lens(camera, self.config.pipeline)
             if resume is not None:
@@ -282,7 +289,7 @@ class Renderer:
                 "samples of a frame with meshes that are shadow catchers cannot be split: render it in one process"
             )
         scene = self._with_captured_light(scene)
-        plan = FramePlan.of(self.config, scene)
+        plan = self._plan_of(scene, camera)
         check_blocks(self.config, plan, camera)
         self._check(plan, scene, camera, None)
         self._begin(plan, scene, camera, progress)
@@ -390,6 +397,10 @@ class Renderer:
         self._sync(scene, camera, plan)
         if plan.is_unscented:
             self._unscented.begin_frame(camera)
+        self._lists = None
+        if plan.lists_gaussians:
+            self._ray_tiles.begin_frame(scene, camera, plan)
+            self._lists = self._ray_tiles.list(self._scene)
 
     def _images(self, plan: FramePlan, camera: Camera, *, encodes: bool = False) -> dict[str, Any]:
         """Returns the finished frame's images by field name; on CUDA, functions that download images when called."""
@@ -488,6 +499,10 @@ class Renderer:
         self._sync(scene, camera or _ANY_CAMERA, plan)
         return plan
 
+    def _plan_of(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
+        """Returns the plan of a frame; ``camera`` is as for `FramePlan.with_lists`."""
+        return FramePlan.of(self.config, scene).with_lists(camera)
+
     def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         """Uploads what changed in the scene; drops cached lighting of earlier frames if the device's origin moved."""
         before, self._developed = self._scene.frame, None
@@ -543,11 +558,12 @@ class Renderer:
             centers = self._camera_rays.start(self._scene, of_splats=True) if plan.jitters_meshes else None
             if plan.is_unscented:
                 return self._unscented.find_hits(self._scene, rays, centers)
-            from_eye = self._scene.has_one_eye
-            return self._tracer.find_hits(self._scene, rays, "camera", from_eye=from_eye, centers=centers)
+            from_eye, lists = self._scene.has_one_eye, self._lists
+            return self._tracer.find_hits(self._scene, rays, "camera", from_eye=from_eye, centers=centers, lists=lists)
 
         while True:
-            hits = self._launcher.replay("hits", (self._scene.graph_key, self._binning.growth, count), find)
+            key = self._scene.graph_key, self._ray_tiles.graph_key, self._binning.growth, count
+            hits = self._launcher.replay("hits", key, find)
             if not plan.rasterises or self._binning.finish():
                 return hits
 

@@ -11,7 +11,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.renderer.trace import gaussian_trace, seen_gaussian_kernels
 from lumisplat.runtime.launcher import Launcher
-from support.compare.backends import renderer_of
+from support.compare.backends import renderer_of, without_lists
 from support.scenes.lenses import LENSES, lens, rolling
 from support.scenes.trace_scenes import placed_scene
 
@@ -29,10 +29,10 @@ IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index")
 
 
 def frame(backend: str, config: ls.RenderConfig, camera: ls.Camera, *, shares: bool) -> ls.Frame:
-    """Renders the placed scene, with colours per Gaussian if ``shares``, else per hit."""
+    """Renders the placed scene through BVHs, with colours per Gaussian if ``shares``, else per hit."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gaussian_trace, "SEEN_RAYS", 0.0 if shares else np.inf)
-        return renderer_of(backend, config).render(placed_scene(), camera)
+        return without_lists(renderer_of(backend, config)).render(placed_scene(), camera)
 
 
 @pytest.mark.parametrize("camera", CAMERAS)

@@ -12,9 +12,9 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.bvh.packet import PACKET_OPTIONS
-from lumisplat.renderer.trace import gaussian_trace, gaussian_trace_kernels
+from lumisplat.renderer.trace import gaussian_trace_kernels, tile_trace_kernels, trace_settings
 from lumisplat.runtime.launcher import Launcher
-from support.compare.backends import renderer_of
+from support.compare.backends import renderer_of, without_lists
 from support.compare.images import assert_close, assert_images_alike
 from support.scenes.raster_scenes import (
     front_camera,
@@ -57,22 +57,24 @@ def render(backend: str, scene: ls.Scene, camera: ls.Camera, config: ls.RenderCo
 
 
 make_kernel = gaussian_trace_kernels.gaussian_trace_kernel.__wrapped__
+make_tile_kernel = tile_trace_kernels.tile_trace_kernel.__wrapped__
 
 
 @functools.cache
-def unfused_kernel(lanes: int, *stack: int) -> wp.Kernel:
-    """Returns the tracing kernel with every multiplication and addition rounded separately."""
+def unfused_kernel(lanes: int, *stack: int, by_tiles: bool = False) -> wp.Kernel:
+    """Returns a tracing kernel with every multiplication and addition rounded separately."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PACKET_OPTIONS, "cpu_compiler_flags", "-march=native -ffp-contract=off")
-        return make_kernel(lanes, *stack)
+        return make_tile_kernel(lanes) if by_tiles else make_kernel(lanes, *stack)
 
 
 @functools.cache
-def unfused_renderer(backend: str, config: ls.RenderConfig) -> ls.Renderer:
-    """Returns a renderer that traces with ``unfused_kernel``."""
+def unfused_renderer(backend: str, config: ls.RenderConfig, *, lists: bool) -> ls.Renderer:
+    """Returns a renderer that traces with ``unfused_kernel``, with or without lists of Gaussians by tiles."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gaussian_trace_kernels, "gaussian_trace_kernel", unfused_kernel)
-        return renderer_of(backend, config)
+        patch.setattr(tile_trace_kernels, "tile_trace_kernel", functools.partial(unfused_kernel, by_tiles=True))
+        return renderer_of(backend, config) if lists else without_lists(renderer_of(backend, config))
 
 
 def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: object) -> ls.Camera:
@@ -244,7 +246,7 @@ def test_rays_that_end_early_blend_the_same_hits_with_short_lists(
     for slots in (32, 5, 2):
         with pytest.MonkeyPatch.context() as patch:
             for name in ("HIT_BUFFER_CPU", "HIT_BUFFER_CUDA"):
-                patch.setattr(gaussian_trace, name, slots)
+                patch.setattr(trace_settings, name, slots)
             frames.append(renderer_of(backend, config).render(ls.Scene([gaussians]), view()))
     for frame in frames[1:]:
         assert_equal(frame, frames[0])
@@ -311,17 +313,20 @@ def test_images_traced_by_ray_packets_equal_those_of_single_rays(
 def test_ray_packets_give_the_bits_of_single_rays_if_no_operations_are_fused(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, normal_method: ls.config.NormalMethod
 ) -> None:
-    """Packets apply the operations of a single ray to each lane.
+    """Packets apply the operations of a single ray to each lane, in BVHs as in lists by tiles, which find equal hits.
 
     The multiplications and additions that compilers fuse depend on the vectorisation of the loop over lanes, and so on
-    the processor. Without fusing, all images are bit-equal.
+    the processor. Without fusing, all images are bit-equal, except that lists have colours of another kernel.
     """
     config = settings(strategy, seed=5, hit_distance=hit_distance, normal_method=normal_method)
     for scene, camera in (SCENES[name] for name in ("plain", "faint_gaussians", "inside", "lens")):
-        together, alone = (
-            unfused_renderer(backend, config).render(scene, camera) for backend in ("cpu", "cpu as cuda")
+        listed, together, alone, listed_alone = (
+            unfused_renderer(backend, config, lists=lists).render(scene, camera)
+            for backend, lists in (("cpu", True), ("cpu", False), ("cpu as cuda", False), ("cpu as cuda", True))
         )
         assert_equal(together, alone)
+        assert_equal(listed, listed_alone)
+        assert_equal(listed, together, ("alpha", "depth", "gaussian_index", "instance_index"))
         assert together.alpha.max() > 0.0
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 import lumisplat as ls
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
 
@@ -35,3 +36,13 @@ def renderer_of(backend: str, config: ls.RenderConfig | None = None) -> ls.Rende
     if backend == "cpu as cuda":
         return ls.Renderer(renderer.config, Launcher("cpu", parallel=True))
     return ReplayingRenderer(renderer.config, GraphLauncher() if backend == "cpu as graph" else Launcher(backend))
+
+
+def without_lists(renderer: ls.Renderer) -> ls.Renderer:
+    """Returns the renderer, whose camera rays then traverse BVHs instead of lists of Gaussians by tiles."""
+
+    def plan_of(scene: ls.Scene, camera: ls.Camera | None = None) -> FramePlan:
+        return FramePlan.of(renderer.config, scene)
+
+    renderer._plan_of = plan_of
+    return renderer

@@ -41,6 +41,7 @@ from lumisplat.device.structs.bvh import (
     WaitingNode,
 )
 from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.scene import SplatInstanceData
 
 COHERENT_SPREAD = 0.15
 """A ray may join a packet if its unit direction differs from the first ray's by a vector of at most this length."""
@@ -405,8 +406,10 @@ class RayPacket(NamedTuple):
     ends_of: Any
     largest: Any
     take_coherent: Any
+    load_packet: Any
     begin_packet: Any
     slabs_of: Any
+    move_rays: Any
     enter_instance: Any
     visit_node: Any
 
@@ -493,19 +496,23 @@ def packet_of(lanes: int) -> RayPacket:
         return taken
 
     @wp.func
-    def begin_packet(packet: PacketRays, waiting: wp.ref[Floats], rays: RayData, first: int, radius_max: float):
-        """Fills a packet with the first waiting ray and all waiting rays that are close to it.
-
-        ``waiting`` has the end distance of each waiting ray, and -FAR for all others; rays that are taken no longer
-        wait.
-        """
-        ends = take_coherent(rays, first, waiting, radius_max)
+    def load_packet(packet: PacketRays, ends: Floats, rays: RayData, first: int):
+        """Fills a packet with the rays from ``first`` on that end at ``ends``; -FAR: the ray is not in the packet."""
         for lane in range(LANES):
             packet.t_min[lane] = rays.t_min[first + lane]
             packet.t_max[lane] = ends[lane]
             packet.limit[lane] = ends[lane]
             packet.path_length[lane] = rays.path_length[first + lane]
             packet.spread[lane] = rays.spread[first + lane]
+
+    @wp.func
+    def begin_packet(packet: PacketRays, waiting: wp.ref[Floats], rays: RayData, first: int, radius_max: float):
+        """Fills a packet with the first waiting ray and all waiting rays that are close to it.
+
+        ``waiting`` has the end distance of each waiting ray, and -FAR for all others; rays that are taken no longer
+        wait.
+        """
+        load_packet(packet, take_coherent(rays, first, waiting, radius_max), rays, first)
 
     @wp.func
     def slabs_of(packet: PacketRays) -> Slabs:
@@ -544,6 +551,17 @@ def packet_of(lanes: int) -> RayPacket:
         slabs.slow = least_vector(group, slowest) / length2
         slabs.fast = largest_vector(group, fastest) / length2
         return slabs
+
+    @wp.func
+    def move_rays(packet: PacketRays, instance: SplatInstanceData, rays: RayData, first: int):
+        """Writes the packet's ray origins, directions and footprints in the object space of a splat instance."""
+        for lane in range(LANES):
+            packet.footprint[lane] = footprint_of_ray(instance.footprint, packet.spread[lane], instance.scale)
+            o = instance.object_from_world * rays.origin[first + lane] + instance.object_from_world_offset
+            d = instance.object_from_world * rays.direction[first + lane]
+            for k in range(3):
+                packet.origin[k, lane] = o[k]
+                packet.direction[k, lane] = d[k]
 
     @wp.func
     def enter_instance(
@@ -614,5 +632,5 @@ def packet_of(lanes: int) -> RayPacket:
 
     return RayPacket(
         *(Floats, Ints, Vec3s, RaysStorage, packet_rays),
-        *(ends_of, largest, take_coherent, begin_packet, slabs_of, enter_instance, visit_node),
+        *(ends_of, largest, take_coherent, load_packet, begin_packet, slabs_of, move_rays, enter_instance, visit_node),
     )

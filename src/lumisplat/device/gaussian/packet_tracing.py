@@ -15,7 +15,13 @@ from lumisplat.device.bvh.nodes import footprint_variance, larger, lesser
 from lumisplat.device.bvh.packet import buffer_hit, empty_list, is_before, largest_of, least_of, packet_of
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.particle import alpha_of_degree, surface_peak
-from lumisplat.device.gaussian.ray_compositing import blend_hit, close_pass, load_pixel, record_hit, store_pixel
+from lumisplat.device.gaussian.ray_compositing import (
+    blend_hit,
+    close_pass,
+    load_pixel,
+    record_hit,
+    store_pixel,
+)
 from lumisplat.device.math.memory import storage_of
 from lumisplat.device.math.random import draw_mixed, mix
 from lumisplat.device.splat.blending import add_relit, instance_of
@@ -502,6 +508,12 @@ def close_last_pass(
         store_pixel(radiance, i, pixel)
 
 
+@wp.func_native("#if defined(__CUDA_ARCH__)\nreturn __ffs(mask) - 1;\n#else\nreturn __builtin_ctz(mask);\n#endif\n")
+def first_lane(mask: int) -> int:
+    """Returns the lowest bit that is set in ``mask``, which is not 0: the first lane of a set of a packet's rays."""
+    ...
+
+
 class PacketTracing(NamedTuple):
     """Warp types and functions that trace packets, generated for one number of rays per packet."""
 
@@ -543,7 +555,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
     def hits_before_cut(traced: TracedPacket, t: wp.ref[Floats], kind: Ints, index: int) -> int:
         """Sets the distance to FAR for each ray that misses the Gaussian, or hits it from ``cut_t`` of its list on.
 
-        Returns 0 if no hit is left, else 1.
+        Returns a bit mask of the rays that have a hit left.
         """
         found = int(0)
         distances = t
@@ -551,7 +563,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
             is_kept = wp.where(is_before(distances[lane], index, traced.cut_t[lane], traced.cut_index[lane]), 1, 0)
             is_kept = is_kept & wp.where(kind[lane] != HIT_NONE, 1, 0)
             distances[lane] = wp.where(is_kept != 0, distances[lane], FAR)
-            found = found | is_kept
+            found = found | (is_kept << lane)
         t = distances
         return found
 
@@ -588,13 +600,15 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
         nearest = float(FAR)
         if counted_hits(kind, begin, packet, particle, instance, scene, rays, first) == 0:
             return nearest
-        found = hits_before_cut(traced, t, kind, index)
+        found = int(hits_before_cut(traced, t, kind, index))
         if found == 0:
             return nearest
         alpha = alphas_at(instance.kernel, particle, distance2)
         if config.strategy == STRATEGY_HIT:
             t = accepted_hits(t, index, alpha, config, rays, first)
-        for lane in range(LANES):
+        while found != 0:
+            lane = first_lane(found)
+            found = found & (found - 1)
             start_t = traced.rays[lane].start_t
             if t[lane] < FAR and is_before(start_t, traced.rays[lane].start_index, t[lane], index):
                 hit = Hit()

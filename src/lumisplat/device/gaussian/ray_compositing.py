@@ -59,6 +59,10 @@ def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, ind
     Colour and normal are those that the eye, unfolded at all mirrors, would see: a plane mirror shows what a mirrored
     camera sees.
     """
+    if scene.seen_normals:
+        seen = scene.seen_normals[index]
+        if wp.length_sq(seen) > 0.0:
+            return lay_behind(pixel, scene.seen_colors[index], seen, index, alpha, view.depth_iso_transmittance)
     number = instance_of(scene.instances, index)
     instance = scene.instances[number]
     i = index - instance.first
@@ -77,8 +81,6 @@ def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, ind
         normal = instance.world_from_object * normal
     elif view.ellipsoid_normal != 0:
         normal = instance.world_from_object * ellipsoid_normal(instance, gaussians, i, origin, direction, ray)
-    elif scene.seen_normals:
-        normal = scene.seen_normals[index]
     else:
         normal = seen_normal(instance, gaussians, i, eye)
     return lay_behind(pixel, color, normal, index, alpha, view.depth_iso_transmittance)

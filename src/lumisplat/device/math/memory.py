@@ -36,6 +36,15 @@ def aligned_store_of(struct_type: Any) -> Any:
     return store_aligned
 
 
+def prefetch_of(struct_type: Any) -> Any:
+    """Builds a function that makes a CPU fetch element i of a struct array into its cache; on CUDA, it does nothing."""
+
+    @wp.func_native("#if !defined(__CUDA_ARCH__)\n__builtin_prefetch(items.data + i);\n#endif\n")
+    def prefetch(items: wp.array[struct_type], i: int): ...
+
+    return prefetch
+
+
 # --- Indices ---
 
 

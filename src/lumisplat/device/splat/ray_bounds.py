@@ -7,7 +7,7 @@ import math
 
 import warp as wp
 
-from lumisplat.device.camera.camera import FISHEYE, pixel_at_row_time, rotated, row_time
+from lumisplat.device.camera.camera import FISHEYE, PINHOLE, pixel_at_row_time, rotated, row_time
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import PixelBox
@@ -92,6 +92,15 @@ OUTLINE_MARGIN = 0.1
 
 The image of an outline that contains the axis surrounds the image centre."""
 
+EXACT_DEPTH2_MIN = 0.05
+"""The exact bounds of a pinhole are used only if ``A`` is at least this fraction of the mean's squared view depth.
+
+``A`` is the squared view depth of the mean minus the square of the Gaussian's extent along the axis: nearer to 0, the
+Gaussian reaches the plane through the eye, where image positions grow beyond all limits."""
+
+EXACT_MARGIN, EXACT_SLACK_PX = 1e-3, 0.02
+"""Fraction, and pixels, by which the exact bounds of a pinhole are enlarged for rounding."""
+
 _SPREAD2 = UNSCENTED_ALPHA**2 * (3.0 + UNSCENTED_KAPPA)
 
 SPREAD = wp.constant(wp.float32(math.sqrt(_SPREAD2)))
@@ -162,6 +171,12 @@ SLACK = wp.constant(wp.float32(OUTLINE_SLACK))
 SINE_MAX = wp.constant(wp.float32(UNSCENTED_SINE_MAX))
 
 MARGIN = wp.constant(wp.float32(1.0 + UNSCENTED_MARGIN))
+
+DEPTH2_MIN = wp.constant(wp.float32(EXACT_DEPTH2_MIN))
+
+EXACT_GROWTH = wp.constant(wp.float32(1.0 + EXACT_MARGIN))
+
+EXACT_PX = wp.constant(wp.float32(EXACT_SLACK_PX))
 
 SLACK_PX = wp.constant(wp.float32(UNSCENTED_SLACK_PX))
 
@@ -299,11 +314,42 @@ def outline_bounds(
 
 
 @wp.func
+def pinhole_bounds(camera: CameraData, gaussian: WorldGaussian, reach: float) -> ImageBounds:
+    """Returns the exact image bounds of a Gaussian out to ``reach`` standard deviations through a plain pinhole.
+
+    ``low`` exceeds ``high`` if the Gaussian is not wholly in front of the eye: other bounds must then be used.
+    """
+    bounds = ImageBounds()
+    bounds.low = wp.vec2(1.0)
+    view = wp.transpose(camera.world_from_camera) * gaussian.point
+    spread = wp.transpose(camera.world_from_camera) * gaussian.axes * wp.diag(reach * gaussian.scale)
+    z = spread[2]
+    a = view[2] * view[2] - wp.dot(z, z)
+    if view[2] <= 0.0 or not a >= DEPTH2_MIN * view[2] * view[2]:
+        return bounds
+    # Offsets d from the mean's image at which rays touch the ellipsoid: a d^2 + 2 b d - c = 0.
+    for k in range(2):
+        middle = view[k] / view[2]
+        across = spread[k] - middle * z
+        b = wp.dot(across, z)
+        root = wp.sqrt(b * b + a * wp.dot(across, across))
+        width = EXACT_GROWTH * camera.focal[k] * root / a + EXACT_PX
+        center = camera.center[k] + camera.focal[k] * (middle - b / a)
+        bounds.low[k] = center - width
+        bounds.high[k] = center + width
+    return bounds
+
+
+@wp.func
 def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
     """Returns image bounds of all pixels whose rays pass a Gaussian within ``reach`` standard deviations.
 
     The bounds refer to the positions of the samples in the pixels.
     """
+    if camera.model == PINHOLE and camera.distorted == 0 and camera.shutter == 0:
+        bounds = pinhole_bounds(camera, gaussian, reach)
+        if bounds.low[0] <= bounds.high[0]:
+            return bounds
     time = float(0.0)
     if camera.shutter != 0:
         time = row_time(camera, pixel_at_row_time(camera, field, gaussian.point)[1])

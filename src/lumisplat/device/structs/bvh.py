@@ -4,6 +4,7 @@ import warp as wp
 
 from lumisplat.constants import NODE_WIDTH
 from lumisplat.device.structs import struct
+from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.scene import GaussianData, MeshData, MeshInstanceData, SplatInstanceData
 
 Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
@@ -88,6 +89,39 @@ class AssetBvh:
 
 
 @struct
+class Candidate:
+    """A Gaussian that camera rays may hit, as the lists of image tiles refer to it; 16 bytes."""
+
+    blocks: TileRect
+    """Squares of ``RAY_BLOCK_PX`` pixels, counted from the corner of the image, whose rays may hit the Gaussian."""
+    floor: float
+    """Lower bound of the distance by which hits of the Gaussian are sorted, on any camera ray; lists are sorted by it.
+    """
+    instance: int
+    """Index of the Gaussian's splat instance."""
+
+
+@struct
+class CandidateLists:
+    """The Gaussians that the camera rays of each image tile may hit.
+
+    ``candidates`` and ``particles`` have one element for each Gaussian, counted over all splat instances.
+    """
+
+    starts: wp.array[int]
+    """Index in ``items`` of the first candidate of each tile; the last element is the length of ``items``."""
+    items: wp.array[int]
+    """Indices of the candidates of each tile, tile after tile, sorted by ``Candidate.floor``."""
+    candidates: wp.array[Candidate]
+    particles: wp.array[Particle]
+    blocks_x: int
+    """Number of squares of ``RAY_BLOCK_PX`` pixels, the rays of a packet, across the image."""
+    blocks_y: int
+    tiles_x: int
+    """Number of tiles across the image."""
+
+
+@struct
 class MeshTriangle:
     """A triangle prepared for ray intersection, object space."""
 
@@ -140,7 +174,9 @@ class SceneBvh:
 
     Empty if rays start anywhere; they then evaluate the colours of the Gaussians that they hit."""
     seen_normals: wp.array[wp.vec3]
-    """World-space unit normal of each Gaussian's max-density plane, towards the eye; as long as ``seen_colors``."""
+    """World-space unit normal of each Gaussian's max-density plane, towards the eye; as long as ``seen_colors``.
+
+    Zero: the normal is not that of this plane, and depends on the ray."""
 
 
 DRAWS_NONE: int = wp.constant(0)

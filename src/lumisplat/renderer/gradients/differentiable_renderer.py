@@ -257,6 +257,10 @@ class DifferentiableRenderer(Renderer):
         self._hits = super()._find_hits(plan, listed)
         return self._hits
 
+    def _plan_of(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
+        """Returns the plan of a frame, whose rays traverse BVHs, because its gradients are found by the same BVHs."""
+        return FramePlan.of(self.config, scene)
+
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
         """Syncs the scene for a caller's rays. The last frame is dropped: it has no gradients any more."""
         self._forget()

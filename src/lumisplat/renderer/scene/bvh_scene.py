@@ -160,8 +160,7 @@ class BvhScene:
         members = {kind: [kind.has(instance) for instance in scene.splats] for kind in kinds}
         synced = asset_indices, [instance.transform.tobytes() for instance in scene.splats], members
         self.footprint = max((footprint_of(instance.gaussians, config) for instance in scene.splats), default=0.0)
-        hit_distances = {hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats}
-        self.hit_distance = HIT_MEAN if HIT_MEAN in hit_distances else next(iter(hit_distances), HIT_PEAK)
+        self.hit_distance = common_hit_distance(scene, config, is_lit=is_lit)
         if synced != self._synced:
             self._synced = None  # cleared until all is built
             self._build_top_levels(scene, asset_indices, members)
@@ -240,6 +239,12 @@ class BvhScene:
                 margin = BOX_MARGIN * np.abs(world).max(axis=0)
                 lows[i], highs[i] = world.min(axis=0) - margin, world.max(axis=0) + margin
         return lows, highs
+
+
+def common_hit_distance(scene: Scene, config: RenderConfig, *, is_lit: bool) -> int:
+    """Returns where on a ray kernels compute hits: HIT_MEAN if any instance uses it, else the common one of all."""
+    hit_distances = {hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats}
+    return HIT_MEAN if HIT_MEAN in hit_distances else next(iter(hit_distances), HIT_PEAK)
 
 
 def boxes_of_members(boxes: tuple[np.ndarray, np.ndarray], members: list[bool]) -> tuple[np.ndarray, np.ndarray]:

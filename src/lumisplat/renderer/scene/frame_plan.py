@@ -28,6 +28,7 @@ from lumisplat.renderer.scene.materials import (
     is_relit,
     is_rough_glass,
 )
+from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.checks import with_checked
 from lumisplat.scene.lights import AreaLight, Light, LightDirectional, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr
@@ -186,6 +187,9 @@ class FramePlan:
     """True if camera rays or paths may hit lights behind blended Gaussians, such as emissive captures."""
     aovs: frozenset[str]
     """Names of the additional images (AOVs) of the frame."""
+    lists_gaussians: bool
+    """True if camera rays find their Gaussians through lists by tiles of the image; False: they traverse BVHs, or are
+    rasterised."""
     for_camera: bool
     """True for the rays of a camera's pixels, which show a background; False for rays from a caller."""
 
@@ -207,7 +211,13 @@ class FramePlan:
     @property
     def follows_rays(self) -> bool:
         """True if camera, secondary or shadow rays traverse the BVHs of Gaussians."""
-        return self.integrator is not Integrator.DIRECT or (self.casts_shadows and self.splat_shadows.exist)
+        traces_camera_rays = not self.rasterises and not self.lists_gaussians
+        return (
+            traces_camera_rays
+            or self.traces_paths
+            or self.max_bounces > 0
+            or (self.casts_shadows and self.splat_shadows.exist)
+        )
 
     @property
     def spawns_shadow_rays(self) -> bool:
@@ -305,8 +315,18 @@ class FramePlan:
             has_receivers=casts_shadows and traces_paths and not is_realtime and adds_to_captures(scene),
             shows_lights_in_haze=in_haze,
             aovs=aovs,
+            lists_gaussians=False,
             for_camera=True,
         )
+
+    def with_lists(self, camera: Camera | None) -> FramePlan:
+        """Returns the plan with lists of Gaussians by tiles for traced camera rays, if tiles can bound the rays.
+
+        They cannot if rays start apart, through an aperture or in parallel, or if some pixels have more rays than
+        others. ``camera`` is the frame's; None: one that has lists.
+        """
+        starts_apart = camera is not None and (camera.aperture > 0.0 or camera.model is CameraModel.ORTHOGRAPHIC)
+        return replace(self, lists_gaussians=not (self.rasterises or self.adapts or starts_apart))
 
     @classmethod
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:

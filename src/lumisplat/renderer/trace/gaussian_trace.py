@@ -9,31 +9,27 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
-from lumisplat.constants import (
-    HIT_BUFFER_CPU,
-    HIT_BUFFER_CUDA,
-    PACKET_RAYS,
-    RAY_BANDS_PER_THREAD,
-    TRAVERSE_STACK,
-    TRAVERSE_STACK_SMALL,
-)
-from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
+from lumisplat.config import RenderConfig, TraceStrategy
+from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
+from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
 from lumisplat.math.arrays import IntArray, Rows
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.trace import gaussian_trace_kernels, seen_gaussian_kernels, stochastic_hit_kernels
+from lumisplat.renderer.trace import (
+    gaussian_trace_kernels,
+    seen_gaussian_kernels,
+    stochastic_hit_kernels,
+    tile_trace_kernels,
+)
+from lumisplat.renderer.trace.ray_lists import RayLists
+from lumisplat.renderer.trace.tile_trace_kernels import SETS_ALL, SETS_CAPTURED, SETS_RELIT
+from lumisplat.renderer.trace.trace_settings import trace_table
 from lumisplat.renderer.trees.ray_order import RAY_ORDER_MODULES, ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
-from lumisplat.runtime.struct_tables import table_dtype
 
-_STRATEGIES = {
-    TraceStrategy.SORTED: STRATEGY_SORTED,
-    TraceStrategy.STOCHASTIC_HIT: STRATEGY_HIT,
-    TraceStrategy.STOCHASTIC_PASS: STRATEGY_PASS,
-}
+_SETS = {SplatSets.ALL: SETS_ALL, SplatSets.CAPTURED: SETS_CAPTURED, SplatSets.RELIT: SETS_RELIT}
 
 
 SEEN_RAYS = 0.25
@@ -56,6 +52,7 @@ class GaussianTracer:
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
         stacks = (TRAVERSE_STACK_SMALL, TRAVERSE_STACK)
         self._kernels = {stack: trace_kernel_of(launcher, stack=stack) for stack in stacks}
+        self._tile_kernel = tile_trace_kernels.tile_trace_kernel(self._lanes)
         self._is_stochastic_hit = config.trace.strategy is TraceStrategy.STOCHASTIC_HIT
         self._settings = buffers.get(f"{name}.settings", TraceData, 1)
         table = trace_table(launcher, config.trace)
@@ -65,8 +62,12 @@ class GaussianTracer:
         table["offset_absolute"] = config.shadow_rays.offset_absolute
         assign_table(self._settings_bounced, table)
 
+    def tile_modules(self) -> list[KernelModule]:
+        """Returns the modules of the kernels that trace camera rays through lists of tiles."""
+        return [self._tile_kernel.module]
+
     def modules(self, *, bounced: bool) -> list[KernelModule]:
-        """Returns the kernel modules; ``bounced`` is as in `find`."""
+        """Returns the modules of the kernels that traverse BVHs; ``bounced`` is as in `find`."""
         by_ray = [stochastic_hit_kernels, *RAY_ORDER_MODULES] if bounced and self._is_stochastic_hit else []
         return [self._kernels[TRAVERSE_STACK_SMALL].module, seen_gaussian_kernels, *by_ray]
 
@@ -82,6 +83,7 @@ class GaussianTracer:
         sets: SplatSets = SplatSets.ALL,
         profiles: DeviceArray | None = None,
         marked: DeviceArray | None = None,
+        lists: RayLists | None = None,
     ) -> GaussianHits:
         """Returns what each ray hits among Gaussians up to its limit: blended colour, transmittance and surface.
 
@@ -97,6 +99,8 @@ class GaussianTracer:
             profiles: ``HitProfiles`` that receive every single hit; None: hits are only blended.
             marked: The scene's splat instances with changed relit flags; radiance of flagged instances is accumulated
                 separately. None: the scene's instances unchanged.
+            lists: Gaussians that the rays, those of all pixels of a camera, may hit by tiles of the image; None: the
+                rays traverse the BVHs.
         """
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
@@ -105,6 +109,10 @@ class GaussianTracer:
         if scene.gaussian_count == 0 and profiles is None:
             return without_hits(hits)
         run, bands = self._launcher.run_banded, RAY_BANDS_PER_THREAD * self._launcher.threads
+        if lists is not None:
+            inputs = _SETS[sets], lists.lists, lists.scene, rays, limits, hits
+            run(self._tile_kernel, lists.ray_count // self._lanes, settings, *inputs, bands=bands)
+            return hits
         bvh = scene.bvh.data(scene.splat_instances if marked is None else marked, sets)
         if bounced and self._is_stochastic_hit:
             order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
@@ -123,7 +131,7 @@ class GaussianTracer:
         if from_eye and not self._is_stochastic_hit and count >= SEEN_RAYS * scene.gaussian_count:
             names = "trace.seen_colors", "trace.seen_normals"
             seen = [self._buffers.get(name, wp.vec3, scene.gaussian_count) for name in names]
-            run(seen_gaussian_kernels.see_gaussians, scene.gaussian_count, scene.camera, settings, bvh, *seen)
+            run(seen_gaussian_kernels.see_gaussians, scene.gaussian_count, scene.camera, settings, bvh, None, *seen)
             bvh.seen_colors, bvh.seen_normals = seen
         run(
             self._kernels[scene.bvh.stack],
@@ -149,26 +157,6 @@ def trace_kernel_of(launcher: Launcher, *, stack: int = TRAVERSE_STACK_SMALL) ->
     if launcher.is_parallel:
         return gaussian_trace_kernels.gaussian_trace_kernel(1, stack)
     return gaussian_trace_kernels.gaussian_trace_kernel(PACKET_RAYS)
-
-
-def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
-    """Returns the tracer's settings as a table with one row, for kernels."""
-    row = table = np.zeros(1, dtype=table_dtype(TraceData))
-    is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
-    hit_buffer_size = HIT_BUFFER_CUDA if launcher.is_parallel else HIT_BUFFER_CPU
-    is_sorted = config.strategy is TraceStrategy.SORTED
-    row["strategy"] = _STRATEGIES[config.strategy]
-    row["hits_per_pass"] = config.hits_per_pass
-    row["hit_buffer_size"] = 1 if is_hit else hit_buffer_size
-    row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
-    # Ending early would bias a stochastic ray: it ends at a transmittance of 0 only.
-    row["transmittance_min"] = config.transmittance_min if is_sorted else 0.0
-    # A stochastic hit is a surface, whatever the threshold.
-    row["depth_iso_transmittance"] = 0.5 if is_hit else config.depth_iso_transmittance
-    row["acceptance_scale"] = config.acceptance_scale
-    row["sh_degree"] = config.sh_degree
-    row["offset"] = FAR
-    return table
 
 
 def packet_ranges(counts: IntArray, most: int) -> Iterator[tuple[int, int, int]]:

@@ -15,6 +15,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace import path_gaussians_kernels as kernels
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
+from lumisplat.renderer.trace.ray_lists import RayLists
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
@@ -50,6 +51,10 @@ class PathGaussians:
         ended = replace(ended, trace=replace(ended.trace, transmittance_min=EMITTER_OPAQUE))
         self._emitted = GaussianTracer(launcher, buffers, ended, "trace.emitted")
 
+    def tile_modules(self) -> list[KernelModule]:
+        """Returns the modules of the kernels that trace camera rays through lists of tiles."""
+        return self._blended.tile_modules()
+
     def modules(self, plan: FramePlan, *, bounced: bool) -> list[KernelModule]:
         """Returns the kernel modules of a frame; if ``bounced``, including those for secondary rays."""
         if not plan.traces_paths:
@@ -69,6 +74,7 @@ class PathGaussians:
         bounced: bool,
         from_eye: bool = False,
         dark: DarkenedCaptures | None = None,
+        lists: RayLists | None = None,
     ) -> GaussianHits:
         """Returns Gaussian hits like `GaussianTracer.find`; a ray that hits a relit Gaussian has transmittance 0.
 
@@ -81,15 +87,16 @@ class PathGaussians:
                 rays do.
             from_eye: Whether all rays start at the eye of the scene's camera.
             dark: Captures that appear black to the rays; None: none.
+            lists: As for `GaussianTracer.find`.
         """
         if not scene.plan.traces_paths or (self._is_blended_first and not bounced):
-            return self._blended.find(scene, rays, limits, name, bounced=bounced, from_eye=from_eye)
+            return self._blended.find(scene, rays, limits, name, bounced=bounced, from_eye=from_eye, lists=lists)
         if not scene.plan.has_emissive_captures:
-            return self._stochastic.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.RELIT)
+            return self._stochastic.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.RELIT, lists=lists)
         if not scene.plan.relights:
-            return self._find_captured(scene, rays, limits, name, bounced=bounced, dark=dark)
-        relit, ends = self._find_relit(scene, rays, limits, name, bounced=bounced)
-        captured = self._find_captured(scene, rays, ends, name, bounced=bounced, dark=dark)
+            return self._find_captured(scene, rays, limits, name, bounced=bounced, dark=dark, lists=lists)
+        relit, ends = self._find_relit(scene, rays, limits, name, bounced=bounced, lists=lists)
+        captured = self._find_captured(scene, rays, ends, name, bounced=bounced, dark=dark, lists=lists)
         self._launcher.run_banded(kernels.choose_hits, len(rays.t_max), rays, relit, captured)
         return captured
 
@@ -112,10 +119,18 @@ class PathGaussians:
         return self._emitted.find(scene, rays, limits, name, bounced=True, sets=SplatSets.CAPTURED, marked=marked)
 
     def _find_relit(
-        self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        limits: wp.array[float],
+        name: str,
+        *,
+        bounced: bool,
+        lists: RayLists | None = None,
     ) -> tuple[GaussianHits, DeviceArray]:
         """Returns each ray's hit on a relit Gaussian, and the distance where the ray ends: the hit, or its limit."""
-        relit = self._stochastic.find(scene, rays, limits, f"{name}.relit", bounced=bounced, sets=SplatSets.RELIT)
+        inputs = scene, rays, limits, f"{name}.relit"
+        relit = self._stochastic.find(*inputs, bounced=bounced, sets=SplatSets.RELIT, lists=lists)
         ends = self._buffers.get(f"{name}.ends", wp.float32, len(rays.t_max))
         self._launcher.run_banded(kernels.end_at_surfaces, len(rays.t_max), limits, relit, ends)
         return relit, ends
@@ -129,10 +144,12 @@ class PathGaussians:
         *,
         bounced: bool,
         dark: DarkenedCaptures | None,
+        lists: RayLists | None = None,
     ) -> GaussianHits:
         """Returns the radiance of emissive captures, blended in order, on each ray up to its limit."""
         marked = dark.marked if dark else None
-        hits = self._blended.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.CAPTURED, marked=marked)
+        sets = SplatSets.CAPTURED
+        hits = self._blended.find(scene, rays, limits, name, bounced=bounced, sets=sets, marked=marked, lists=lists)
         if dark is None:
             return hits
         self._launcher.run_banded(kernels.darken, len(rays.t_max), rays, dark.mirrored, hits)

@@ -13,6 +13,7 @@ from lumisplat.renderer.trace import mesh_trace_kernels
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.renderer.trace.path_gaussians import DarkenedCaptures, PathGaussians
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_lists import RayLists
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
@@ -32,8 +33,14 @@ class RayTracer:
         traces_paths = config.pipeline.bounces_light and config.lighting is not False
         self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
 
+    def camera_modules(self, plan: FramePlan) -> list[KernelModule]:
+        """Returns the kernel modules that find the hits of a frame's camera rays."""
+        if plan.lists_gaussians:
+            return [*self._gaussians.tile_modules(), *self._meshes.modules(has_meshes=plan.has_meshes)]
+        return self.modules(plan)
+
     def modules(self, plan: FramePlan, *, bounced: bool = False) -> list[KernelModule]:
-        """Returns the kernel modules of a frame; if ``bounced``, including those for secondary rays."""
+        """Returns the modules of the kernels that traverse BVHs; if ``bounced``, including those of secondary rays."""
         meshes = self._meshes.modules(has_meshes=plan.has_meshes)
         if isinstance(self._gaussians, PathGaussians):
             return [*self._gaussians.modules(plan, bounced=bounced), *meshes]
@@ -49,6 +56,7 @@ class RayTracer:
         from_eye: bool = False,
         centers: RayData | None = None,
         dark: DarkenedCaptures | None = None,
+        lists: RayLists | None = None,
     ) -> PrimaryHits:
         """Returns what each ray hits: the nearest triangle, and the Gaussians in front of it.
 
@@ -61,13 +69,14 @@ class RayTracer:
             from_eye: Whether all rays start at the eye of the scene's camera.
             centers: Rays through pixel centres, along which Gaussians are evaluated; None: along ``rays``.
             dark: Captures that appear black to rays of paths; None: none.
+            lists: As for `GaussianTracer.find`.
         """
         with self._launcher.stage("mesh"):
             meshes = self._meshes.find(scene, rays, f"{name}.meshes", bounced=bounced)
         with self._launcher.stage("gaussians"):
             inputs = scene, centers or rays, meshes.t, f"{name}.gaussians"
             if dark is None:
-                gaussians = self._gaussians.find(*inputs, bounced=bounced, from_eye=from_eye)
+                gaussians = self._gaussians.find(*inputs, bounced=bounced, from_eye=from_eye, lists=lists)
             else:
                 assert isinstance(self._gaussians, PathGaussians)
                 gaussians = self._gaussians.find(*inputs, bounced=bounced, dark=dark)
