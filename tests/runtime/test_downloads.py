@@ -157,3 +157,14 @@ def test_threads_that_take_memory_blocks_at_once_do_not_exceed_their_limit(monke
     other.join()
     assert lender.lent == {"host": 0, "device": FRAME_BLOCKS_MAX}
     assert sum(isinstance(copies, DeviceCopies) for copies in held) == FRAME_BLOCKS_MAX
+
+
+def test_awaited_number_is_waited_for_once_and_then_kept() -> None:
+    """A frame keeps its count although the next frame writes the count's copy again."""
+    values, waits = [3], list[int]()
+    awaited = downloads.Awaited(lambda: waits.append(1), lambda: values[0])
+    assert not waits
+    assert awaited() == 3
+    values[0] = 4
+    assert awaited() == 3
+    assert waits == [1]

@@ -159,7 +159,7 @@ class GaussianViewer(Renderer):
                 *(rays, meshes, gaussian_hits, outward),
             )
             hidden = self._tracer.find_hits(scene, outward, "bake.hidden", bounced=True)
-            wave = self._integrators.of(self._plan).shade(scene, self._plan, hits, sample)
+            wave = self._integrators.radiance(scene, self._plan, sample, lambda: hits, ("views", capacity))
             run(kernels.add_views, capacity, sample, self._far, wave.data, hidden.meshes, hidden.gaussians, sums)
         return self._means(sums, count, samples)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,29 @@ class FrameStats:
     noise: float | None = None
     """Relative error that 95 % of the pixels stay below, by estimate (docs/method/samples.md). With fewer than 16
     samples the estimate is rough. None if no estimate was requested, or there is only one sample."""
+    _count_nonfinite: Callable[[], int] | None = field(default=None, repr=False, compare=False)
+
+    @classmethod
+    def counting_later(cls, count: Callable[[], int], **others: Any) -> FrameStats:
+        """Makes statistics whose ``nonfinite_count`` is what ``count`` returns; it is called when that is first read.
+
+        ``others``: all other fields.
+        """
+        stats = cls(nonfinite_count=0, _count_nonfinite=count, **others)
+        object.__delattr__(stats, "nonfinite_count")
+        return stats
+
+    if not TYPE_CHECKING:  # otherwise type checkers accept every attribute
+
+        def __getattr__(self, name: str) -> Any:
+            """Counts at the first access. Python calls this method only for fields without a value."""
+            if name != "nonfinite_count":
+                raise AttributeError(name)
+            count = self._count_nonfinite
+            if count is not None:  # otherwise another thread has counted
+                object.__setattr__(self, name, count())
+                object.__setattr__(self, "_count_nonfinite", None)
+            return object.__getattribute__(self, name)
 
 
 class LitParts(NamedTuple):

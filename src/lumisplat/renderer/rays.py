@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -365,8 +366,8 @@ class RayQueries:
         for sample in range(samples):
             scene.begin_sample(sample)
             self._rays.load(scene, first, count, inputs, rays)
-            hits = self._tracer.find_hits(scene, rays, "rays", bounced=bounced)
-            wave = self._integrators.of(plan).shade(scene, plan, hits, sample)
+            find = partial(self._tracer.find_hits, scene, rays, "rays", bounced=bounced)
+            wave = self._integrators.radiance(scene, plan, sample, find, ("rays", len(rays.t_max), bounced))
             if plan.is_lit:
                 self._launcher.run_banded(film_kernels.merge_captured, wave.count, wave.data)
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, film)

@@ -63,6 +63,7 @@ from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_lists import RayLists
 from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
@@ -251,7 +252,7 @@ class Renderer:
         with self._launcher.stoppable(None if plan.has_history else stop):
             counts, budget = self._sampled(plan, camera.exposure, resume, progress)
         images = self._images(plan, camera, encodes=encode)
-        self._light_warnings.warn_of_media(plan, scene, self._buffers)
+        self._light_warnings.warn_of_media(plan, scene, self._buffers, self._launcher)
         frame = self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
         self._developed = frame.stats
         return frame
@@ -299,9 +300,8 @@ class Renderer:
             self._film.finish(self._scene)
         else:
             plan = replace(plan, samples=part.count)
-            counts, _ = self._sampled(plan, camera.exposure, None, progress, part)
+            counts = replace(self._sampled(plan, camera.exposure, None, progress, part)[0], nonfinite=0)
         images = self._images(plan, camera)
-        counts = replace(counts, nonfinite=self._film.nonfinite_count)
         return self._frame(scene, camera, images, counts, samples=part.count)
 
     def reconfigure(self, config: RenderConfig) -> None:
@@ -381,7 +381,7 @@ class Renderer:
         self._frame_number += plan.has_history
         self._film.finish(self._scene)
         counts = self._binning.counts if plan.rasterises else BinningCounts()
-        return replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count), budget
+        return counts, budget
 
     def _begin(
         self, plan: FramePlan, scene: Scene, camera: Camera, progress: Progress | None, *, encodes: bool = False
@@ -411,14 +411,33 @@ class Renderer:
             return images
 
     def _draw_sample(self, plan: FramePlan, exposure: float, sample: int) -> None:
-        """Renders one sample of each pixel, and adds it to the film."""
-        self._scene.begin_sample(sample)
-        rays = self._film.rays_of(sample, exposure)
-        with self._launcher.frame_pass("surfaces") if plan.has_history else nullcontext():
-            hits = self._find_hits(plan, rays)
-        integrator = self._integrators.of(plan)
-        wave = integrator.shade(self._scene, plan, hits, sample)
-        self._film.add(self._scene, wave, integrator.light_images(self._scene, plan, hits))
+        """Renders one sample of each pixel, and adds it to the film.
+
+        CUDA replays two recorded graphs. The first can be drawn again until its lists have room for all splats and
+        rays; the second changes what later samples add to.
+        """
+        scene, integrator = self._scene, self._integrators.of(plan)
+        scene.begin_sample(sample)
+        listed = self._film.rays_of(sample, exposure)
+        integrator.begin_sample(scene, sample)
+        count = 0 if listed is None else len(listed.ray)
+
+        def draw() -> tuple[PrimaryHits, RayWave]:
+            with self._launcher.frame_pass("surfaces") if plan.has_history else nullcontext():
+                hits = self._find_hits(plan, listed)
+            return hits, integrator.shade(scene, plan, hits)
+
+        def store(hits: PrimaryHits, wave: RayWave) -> None:
+            integrator.finish(scene, plan, wave)
+            self._film.add(scene, wave, integrator.light_images(scene, plan, hits))
+
+        while True:
+            key = scene.graph_key, integrator.graph_key(scene), self._ray_tiles.graph_key, self._binning.growth, count
+            drawn = self._launcher.replay(f"sample {integrator.turn}", key, draw)
+            has_room = self._binning.finish() if plan.rasterises else True
+            if integrator.is_complete(plan) and has_room:
+                break
+        self._launcher.replay(f"store {integrator.turn}", key, lambda: store(*drawn))
         if self.config.time_limit is not None:
             self._launcher.synchronize()
 
@@ -545,27 +564,19 @@ class Renderer:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
-        """Returns the hits of the current sample's camera rays, rasterised or traced; CUDA replays a recorded graph.
+        """Returns the hits of the current sample's camera rays, rasterised or traced.
 
-        ``listed`` limits the sample to some rays (adaptive sampling); None: all pixels.
+        If `Binning.finish` returns False, a tile list was too short, and rasterised hits are incomplete. ``listed``
+        limits the sample to some rays (adaptive sampling); None: all pixels.
         """
-        count = 0 if listed is None else len(listed.ray)
-
-        def find() -> PrimaryHits:
-            rays = self._camera_rays.start(self._scene, listed)
-            if plan.rasterises and not plan.is_unscented:
-                return self._raster.find_hits(self._scene, rays)
-            centers = self._camera_rays.start(self._scene, of_splats=True) if plan.jitters_meshes else None
-            if plan.is_unscented:
-                return self._unscented.find_hits(self._scene, rays, centers)
-            from_eye, lists = self._scene.has_one_eye, self._lists
-            return self._tracer.find_hits(self._scene, rays, "camera", from_eye=from_eye, centers=centers, lists=lists)
-
-        while True:
-            key = self._scene.graph_key, self._ray_tiles.graph_key, self._binning.growth, count
-            hits = self._launcher.replay("hits", key, find)
-            if not plan.rasterises or self._binning.finish():
-                return hits
+        rays = self._camera_rays.start(self._scene, listed)
+        if plan.rasterises and not plan.is_unscented:
+            return self._raster.find_hits(self._scene, rays)
+        centers = self._camera_rays.start(self._scene, of_splats=True) if plan.jitters_meshes else None
+        if plan.is_unscented:
+            return self._unscented.find_hits(self._scene, rays, centers)
+        from_eye, lists = self._scene.has_one_eye, self._lists
+        return self._tracer.find_hits(self._scene, rays, "camera", from_eye=from_eye, centers=centers, lists=lists)
 
     def _load(self, modules: list[KernelModule], progress: Progress | None = None) -> None:
         self._launcher.load(modules, self._progress or progress)
@@ -580,6 +591,7 @@ class Renderer:
         samples: int,
         noise: float | None = None,
     ) -> Frame:
+        left_out = self._film.nonfinite_count if samples else None
         return Frame.of(
             images,
             images.pop("picture", None),
@@ -589,11 +601,11 @@ class Renderer:
             config=self.config,
             draws_meshes=self._scene.plan.draws_alpha
             and any(instance.mesh.material.blends for instance in scene.meshes),
-            stats=FrameStats(
+            stats=FrameStats.counting_later(
+                lambda: counts.nonfinite + (0 if left_out is None else left_out()),
                 stage_ms=self._launcher.stage_ms,
                 gaussian_count=scene.gaussian_count,
                 visible_count=counts.visible,
-                nonfinite_count=counts.nonfinite,
                 pair_count=counts.pairs,
                 triangle_count=scene.face_count,
                 memory_bytes=self._scene.bytes + self._buffers.bytes,

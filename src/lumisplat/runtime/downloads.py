@@ -108,6 +108,43 @@ class DeviceCopies:
             cast(Any, wp).synchronize_stream(stream)
 
 
+class HostCopy:
+    """Copy of a small device array in page-locked host memory, which the host reads without asking the device."""
+
+    def __init__(self, source: DeviceArray) -> None:
+        self.source = source
+        pinned = not source.device.is_cpu  # without a GPU there is no page-locked memory
+        self._host = cast(Any, wp).zeros(source.shape, dtype=source.dtype, device="cpu", pinned=pinned)
+        self.values: npt.NDArray[Any] = self._host.numpy()
+        """Values of the last `update` that the device has run; zeros before."""
+
+    def update(self) -> None:
+        """Copies the array once the device has run what was launched before."""
+        cast(Any, wp).copy(self._host, self.source)
+
+
+class Awaited:
+    """Number that the device is still computing; a call waits for it, once.
+
+    Args:
+        wait: Waits until the device has computed the number.
+        read: Returns the number after that.
+    """
+
+    def __init__(self, wait: Callable[[], None], read: Callable[[], int]) -> None:
+        self._lock = threading.Lock()
+        self._wait, self._read = wait, read
+        self._value: int | None = None
+
+    def __call__(self) -> int:
+        """Returns the number."""
+        with self._lock:
+            if self._value is None:
+                self._wait()
+                self._value = self._read()
+            return self._value
+
+
 class Downloads:
     """Pool of host and device memory blocks for copies of frames, shared by all threads.
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar, cast
 
 import warp as wp
@@ -405,6 +406,13 @@ class Launcher:
         threads = block_threads(warp_module) if has_blocks or self.is_cuda else 1
         with _blocks_on_cpus() if has_blocks else nullcontext():
             load_module(module, self.device, threads)
+
+    def mark(self) -> Callable[[], None]:
+        """Returns a function that waits until the device has run all that was launched before this call."""
+        device: Any = wp.get_device(self.device)
+        if device.is_cpu:
+            return lambda: None
+        return partial(cast(Any, wp).synchronize_event, device.stream.record_event())
 
     def synchronize(self) -> None:
         """Waits until the device is idle."""

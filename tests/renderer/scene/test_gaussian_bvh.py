@@ -14,7 +14,7 @@ from lumisplat.constants import ALPHA_MIN, BOX_MARGIN, NODE_WIDTH, TRAVERSE_STAC
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
 from lumisplat.renderer.scene.assets import upload_gaussians
 from lumisplat.renderer.scene.instance_tables import kernel_data
-from lumisplat.renderer.trees.box_tree import TREE_SURFACE_LEVELS
+from lumisplat.renderer.trees.box_tree import TREE_SURFACE_LEVELS, HostBoxTree
 from lumisplat.renderer.trees.gaussian_bvh import GaussianBvh
 from lumisplat.runtime.launcher import Launcher
 from support.compare.backends import renderer_of
@@ -329,3 +329,20 @@ def test_images_traced_with_refitted_bvhs_equal_those_with_new_bvhs(backend: str
     assert len({number for number, _ in trees}) == 1, "followed by one tree"
     costs = [cost for _, cost in trees]
     assert costs[0] == costs[1] == costs[2] != costs[3]
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_cost_of_a_tree_over_boxes_on_the_host_equals_the_areas_of_its_nodes(parallel: bool) -> None:
+    """Several trees are built together; the cost is that of their boxes after a refit."""
+    rng = np.random.default_rng(1)
+    counts = np.array([5, 40, 1, 90])
+    low = rng.uniform(-3.0, 3.0, (counts.sum(), 3))
+    high = low + rng.uniform(0.0, 0.5, low.shape)
+    tree = HostBoxTree(Launcher("cpu", threads=1, parallel=parallel), low, high, counts)
+    for scale in (1.0, 2.0):
+        tree.refit(scale * low, scale * high + 1.0)
+        nodes = tree.nodes.numpy()
+        corners = [np.stack([nodes[f"{side}_{axis}"] for axis in "xyz"], axis=1) for side in ("low", "high")]
+        sides = np.maximum(corners[1].max(axis=2) - corners[0].min(axis=2), 0.0)
+        areas = (sides * np.roll(sides, 1, axis=1)).sum(axis=1)
+        assert tree.cost == pytest.approx(areas.sum() / areas[0], rel=1e-5)

@@ -295,12 +295,13 @@ def test_non_finite_samples_are_black_and_counted_once(backend: str) -> None:
     """Each sample of each pixel is counted; other frames do not affect the count, also when resumed."""
     broken = replace(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.9), sh=np.full((1, 16, 3), 3e38, np.float32))
     both = ls.Scene([broken], [quad(6.0, 10.0)])
-    drawn = renderer(backend, 3, jitter=False).render(both, view())
+    one_renderer, clean = renderer(backend, 3, jitter=False), ls.Scene([random_gaussians(91)])
+    drawn, after = one_renderer.render(both, view()), one_renderer.render(clean, view())
     black = (drawn.color == 0.0).all(axis=-1)
     assert drawn.stats is not None and np.isfinite(drawn.color).all()
     assert drawn.stats.nonfinite_count == 3 * black.sum() > 0
+    assert after.stats is not None and after.stats.nonfinite_count == 0
 
-    clean = ls.Scene([random_gaussians(91)])
     for one in (renderer(backend, 3, jitter=False), renderer_of(backend, renderer(backend, 3, jitter=False).config)):
         resumed = one.render(clean, view(), resume=renderer(backend, jitter=False).render(clean, view()))
         assert resumed.stats is not None and resumed.stats.nonfinite_count == 0

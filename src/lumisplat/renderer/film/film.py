@@ -27,7 +27,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import LightImages, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, rows_of
-from lumisplat.runtime.downloads import Copies
+from lumisplat.runtime.downloads import Awaited, Copies, HostCopy
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 CATCHER_LAYERS = {
@@ -60,6 +60,11 @@ class Film:
         self._samples = 0
         self._adaptive = AdaptiveRays(launcher, buffers)
         self._catchers = CatcherRatios(launcher, buffers)
+        self._total = HostCopy(self._count_total)
+        self.nonfinite_count: Callable[[], int] = lambda: 0
+        """Returns the number of samples of the last finished frame that were NaN or infinite, and were dropped.
+
+        On CUDA the call waits for the frame."""
 
     def modules(self, plan: FramePlan, *, encodes: bool) -> list[KernelModule]:
         """Returns the kernel modules that the film needs for a frame. On CUDA, every frame is encoded to 8 bits."""
@@ -134,11 +139,12 @@ class Film:
         return self._adaptive.list(sample, jitters=self._plan.jitters)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
-        """Adds the current sample: the radiance of the camera rays ``wave``, and the layers ``lights``.
-
-        CUDA replays a recorded graph.
-        """
-        self._launcher.replay("store", (scene.graph_key, wave.count), lambda: self._store(scene, wave, lights))
+        """Adds the current sample: the radiance of the camera rays ``wave``, and the layers ``lights``."""
+        with self._launcher.stage("store"):
+            for name, values in self._sampled_images(wave, lights).items():
+                inputs = scene.shading, wave.data, self._data, values, self._image(name)
+                self._launcher.run_banded(film_kernels.add_image, wave.count, *inputs)
+            self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
 
     def noise(self, exposure: float) -> float:
         """Estimates the noise of the frame, a relative error: a fraction `NOISE_PIXELS` of all pixels has less.
@@ -154,7 +160,18 @@ class Film:
 
     def finish(self, scene: DeviceScene) -> None:
         """Computes the images from sums and counts after the last sample; on CUDA by a recorded CUDA graph."""
+        self.nonfinite_count()  # of the frame before, whose copy of the count is now overwritten
         self._launcher.replay("finish", (scene.graph_key, self._has_sums), lambda: self._finish(scene))
+        drawn = self._samples * self._pixel_count
+        if self._plan.adapts:
+            drawn = self._adaptive.total_before(self._samples)
+        if self._launcher.is_parallel:
+            self._total.update()
+            total = self._total.values  # without the film: a frame must not keep the renderer's memory
+            self.nonfinite_count = Awaited(self._launcher.mark(), lambda: drawn - int(total[0]))
+        else:
+            count = drawn - int(self._count.numpy().sum(dtype=np.int64))
+            self.nonfinite_count = lambda: count
 
     def _finish(self, scene: DeviceScene) -> None:
         with self._launcher.stage("store"):
@@ -174,13 +191,6 @@ class Film:
             if self._launcher.is_parallel:  # so that only one number has to be downloaded
                 self._count_total.zero_()
                 self._launcher.run(film_kernels.sum_counts, COUNT_SUM_THREADS, self._count, self._count_total)
-
-    def _store(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
-        with self._launcher.stage("store"):
-            for name, values in self._sampled_images(wave, lights).items():
-                inputs = scene.shading, wave.data, self._data, values, self._image(name)
-                self._launcher.run_banded(film_kernels.add_image, wave.count, *inputs)
-            self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
 
     def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool, encodes: bool) -> dict[str, Any]:
         """Returns the images of an unlit frame that was rasterised directly to ``pixels``, by field name of `Frame`."""
@@ -255,16 +265,6 @@ class Film:
             count = self._plan.max_bounces + 2
             images["bounces"] = copies.lazy(lambda: self._layers(size, copies, "bounce", count))
         return images
-
-    @property
-    def nonfinite_count(self) -> int:
-        """Number of samples of the frame that were dropped because they were NaN or infinite."""
-        drawn = self._samples * self._pixel_count
-        if self._plan.adapts:
-            drawn = self._adaptive.total_before(self._samples)
-        if self._launcher.is_parallel:
-            return drawn - int(self._count_total.numpy()[0])
-        return drawn - int(self._count.numpy().sum(dtype=np.int64))
 
     def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
         """Returns the layers (AOVs) of the current sample by name, each an array of one wp.vec3 per ray."""

@@ -6,11 +6,15 @@ takes half a second.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from lumisplat.config import RenderConfig
+from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
@@ -54,6 +58,26 @@ class Integrators:
 
         self._whitted = self._whitted or WhittedIntegrator(*self._arguments)
         return self._whitted
+
+    def radiance(
+        self, scene: DeviceScene, plan: FramePlan, sample: int, find: Callable[[], PrimaryHits], key: object
+    ) -> RayWave:
+        """Returns rays that are not a frame's, with their radiance, as a wave; CUDA replays a recorded graph.
+
+        Args:
+            scene: The device scene, synced.
+            plan: Plan of the rays.
+            sample: Index of the sample.
+            find: Returns the rays and their hits; is recorded, too.
+            key: Values other than the scene's that the graph contains.
+        """
+        integrator, launcher = self.of(plan), self._arguments[0]
+        integrator.begin_sample(scene, sample)
+        while True:
+            of_graph = scene.graph_key, integrator.graph_key(scene), key
+            wave = launcher.replay("rays", of_graph, lambda: integrator.shade(scene, plan, find()))
+            if integrator.is_complete(plan):
+                return wave
 
     def forget(self) -> None:
         """Drops the history of the real-time integrator, if that integrator exists."""

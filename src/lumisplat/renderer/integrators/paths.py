@@ -41,6 +41,9 @@ class PathIntegrator:
         tracer: Finds the hits of the paths' rays.
     """
 
+    turn = 0
+    """Number of the set of arrays that a sample uses: all samples use the same."""
+
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
         self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
         self._surfaces = Surfaces(launcher, buffers)
@@ -55,20 +58,30 @@ class PathIntegrator:
             modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
 
-    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the camera rays with their radiance over all bounces. CUDA replays a recorded CUDA graph.
+    def begin_sample(self, scene: DeviceScene, sample: int) -> None:
+        """Begins sample ``sample`` of the frame: writes to the device what changes from sample to sample."""
+        self._shadows.begin_sample(sample)
+
+    def graph_key(self, scene: DeviceScene) -> object:
+        """Returns None: a recorded CUDA graph of `shade` contains nothing but what the scene's key contains."""
+
+    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
+        """Returns the camera rays with their radiance over all bounces.
 
         Args:
             scene: The device scene, synced.
             plan: Plan of the frame.
             hits: The rays and their hits.
-            sample: Index of the sample.
         """
-        self._shadows.begin_sample(sample)
         with self._launcher.stage("light"):
-            return self._launcher.replay(
-                "paths", (scene.graph_key, hits.graph_key), lambda: self._follow(scene, plan, hits)
-            )
+            return self._follow(scene, plan, hits)
+
+    def is_complete(self, plan: FramePlan) -> bool:
+        """Returns True: lists of paths have room for all camera rays."""
+        return True
+
+    def finish(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
+        """Ends a sample."""
 
     def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
         """Traces the paths that begin at the camera rays' hits, bounce by bounce; returns the camera rays' radiance."""

@@ -30,6 +30,9 @@ class WhittedIntegrator:
         tracer: Finds the hits of reflected and refracted rays.
     """
 
+    turn = 0
+    """Number of the set of arrays that a sample uses: all samples use the same."""
+
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
         self._launcher, self._tracer = launcher, tracer
         self._surfaces = Surfaces(launcher, buffers)
@@ -45,24 +48,31 @@ class WhittedIntegrator:
             modules += [*self._specular.modules(), *self._tracer.modules(plan, bounced=plan.has_lobes)]
         return modules
 
-    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the camera rays with their radiance over all bounces.
+    def begin_sample(self, scene: DeviceScene, sample: int) -> None:
+        """Begins sample ``sample`` of the frame: writes to the device what changes from sample to sample."""
+        self._direct_light.begin_sample(sample)
 
-        CUDA replays a recorded CUDA graph of all bounces.
+    def graph_key(self, scene: DeviceScene) -> object:
+        """Returns values that a recorded CUDA graph of `shade` contains; a graph recorded with others is stale."""
+        return self._specular.graph_key
+
+    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
+        """Returns the camera rays with their radiance over all bounces.
 
         Args:
             scene: The device scene, synced.
             plan: Plan of the frame.
             hits: The rays and their hits.
-            sample: Index of the sample.
         """
-        self._direct_light.begin_sample(sample)
         with self._launcher.stage("light" if plan.is_lit else "bounce"):
-            while True:
-                key = scene.graph_key, hits.graph_key, self._specular.graph_key
-                first = self._launcher.replay("light", key, lambda: self._follow(scene, plan, hits))
-                if plan.max_bounces == 0 or self._specular.finish():
-                    return first
+            return self._follow(scene, plan, hits)
+
+    def is_complete(self, plan: FramePlan) -> bool:
+        """Returns whether all rays of the last `shade` were followed; if not, draw the sample again."""
+        return plan.max_bounces == 0 or self._specular.finish()
+
+    def finish(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
+        """Ends a sample that is complete."""
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """Returns the direct light of each light at the primary hits, if the frame requests it."""

@@ -9,6 +9,8 @@ import warp as wp
 
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.downloads import HostCopy
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
 
 _log = logging.getLogger("lumisplat")
@@ -19,6 +21,9 @@ class LightWarnings:
     """Warns of lights with too few samples, of missed noise levels, and of open refractive meshes: once of each."""
 
     def __init__(self) -> None:
+        self._unentered: HostCopy | None = None
+        self._checked: object = None
+        """Meshes for which the host has waited for `warn_of_media`."""
         self._has_warned_of_noise = self._has_warned_of_noise_level = self._has_warned_of_media = False
 
     def warn_of_noise(self, plan: FramePlan, samples: int) -> None:
@@ -39,11 +44,22 @@ class LightWarnings:
             self._has_warned_of_noise_level = True
             _log.warning("%s", warning)
 
-    def warn_of_media(self, plan: FramePlan, scene: Scene, buffers: Buffers) -> None:
-        """Warns if rays of the last sample left the inside of a mesh without having entered the mesh."""
+    def warn_of_media(self, plan: FramePlan, scene: Scene, buffers: Buffers, launcher: Launcher) -> None:
+        """Warns if rays of the last sample left the inside of a mesh without having entered the mesh.
+
+        Waits for the device only in the first frame of the meshes; later frames may warn one frame late.
+        """
         if not plan.has_media or self._has_warned_of_media:
             return
-        unentered = buffers.get("wave.unentered", wp.int32, len(scene.meshes)).numpy()
+        source = buffers.get("wave.unentered", wp.int32, len(scene.meshes))
+        if self._unentered is None or self._unentered.source is not source:
+            self._unentered = HostCopy(source)
+        self._unentered.update()
+        meshes = [id(instance.mesh) for instance in scene.meshes]
+        if meshes != self._checked:
+            launcher.mark()()
+            self._checked = meshes
+        unentered = self._unentered.values
         if unentered.any():
             self._has_warned_of_media = True
             number = int(np.argmax(unentered))

@@ -68,6 +68,7 @@ class IndirectLight:
     def begin_frame(self, size: tuple[int, int], frame: int) -> None:
         """Begins frame ``frame`` of an image of ``size`` (width, height)."""
         self.probes.begin(size, frame)
+        self.cache.warn_of_overflow()  # in the frame before, if it was replayed from a graph
 
     def start_lobes(self, scene: DeviceScene, wave: RayWave) -> tuple[LobeRays, RayData | None]:
         """Starts rays within the specular lobes of the surfaces at pixels, before later rays overwrite the surfaces.

@@ -30,6 +30,7 @@ from lumisplat.device.gi.radiance_cache import (
 )
 from lumisplat.renderer.realtime import radiance_cache_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
+from lumisplat.runtime.downloads import HostCopy
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
@@ -67,6 +68,7 @@ class RadianceCache:
         self._grid.bounce_history = float(config.bounce_history)
         self.tiles = _allocated_tiles(buffers, config.tiles)
         """Tiles (8 x 8 cells each) in use; the arrays have room for as many tiles as the settings allow."""
+        self._counts = HostCopy(device_array(self.tiles.counts))
         self._has_warned = False
 
     @staticmethod
@@ -176,6 +178,8 @@ class RadianceCache:
             inputs = sequence, self._config.unused_frames, self.tiles, stays
             self._launcher.run_banded(kernels.mark_used, self._config.tiles, *inputs)
             self._compact(stays, is_early=False)
+        if not self._launcher.is_recording:
+            self.warn_of_overflow()
 
     def _sorted(self, samples: CacheSamples, count: int) -> SortedSamples:
         """Sorts samples by tile, then by cell in the tile, then by index."""
@@ -253,9 +257,13 @@ class RadianceCache:
         return self._launcher.is_parallel or bool(device_array(self.tiles.counts).numpy()[index] > 0)
 
     def warn_of_overflow(self) -> None:
-        """Warns once if the cache was full, so that tiles were evicted early or could not be added."""
+        """Warns once if the cache was full, so that tiles were evicted early or could not be added.
+
+        Does not wait for the device, whose last frame may be missing.
+        """
         if not self._has_warned:
-            counts = device_array(self.tiles.counts).numpy()
+            self._counts.update()
+            counts = self._counts.values
             if np.any(counts[[COUNT_EVICTED, COUNT_DROPPED]] > 0):
                 self._has_warned = True
                 _log.warning(

@@ -52,11 +52,6 @@ class LitSurfaces:
     layers: dict[str, DeviceArray]
     """Layers of light by name, with emission and reflections."""
 
-    @property
-    def graph_key(self) -> object:
-        """Values that determine which light is averaged; a CUDA graph recorded with others is stale."""
-        return [kind.kind for kind in self.surfaces], self.lobes is None
-
 
 class RealtimeIntegrator:
     """Computes the radiance of a camera's rays frame after frame, reusing the lighting of earlier frames.
@@ -93,6 +88,10 @@ class RealtimeIntegrator:
         self._size: tuple[int, int] | None = None
         self._has_warned_of_size = False
         self._layers: dict[str, DeviceArray] = {}
+        self._lit: dict[int, LitSurfaces] = {}
+        """Result of the last `shade` of an even frame (0) and of an odd one (1)."""
+        self.turn = 0
+        """0 in even frames, 1 in odd ones: they store surfaces and their light in different arrays."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the kernel modules of a frame, without the modules that find primary hits."""
@@ -106,32 +105,44 @@ class RealtimeIntegrator:
         """Drops the lighting of earlier frames: the next frame begins a new sequence."""
         self._size = None
 
-    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """Returns the camera rays with their radiance, as a wave (all rays before the first bounce).
+    def begin_sample(self, scene: DeviceScene, sample: int) -> None:
+        """Begins frame ``sample`` of the sequence: writes to the device what changes from frame to frame."""
+        size, self.turn = scene.image_size, sample % 2
+        if self._size != size:
+            self._restart(size)
+        self._shadows.begin_sample(sample)
+        self._lights.begin_frame(sample)
+        self._mirrors.begin_frame(sample)
+        if self._bounces:
+            self._indirect.begin_frame(size, sample)
 
-        CUDA replays two recorded graphs. The first can be drawn again: if reflected rays exceeded the capacities of the
-        graph, it is. The second changes the lighting that later frames reuse. Even and odd frames have different
-        graphs, because they store the surfaces of pixels and their light in different arrays.
+    def graph_key(self, scene: DeviceScene) -> object:
+        """Returns values that recorded CUDA graphs contain; a graph recorded with others is stale."""
+        boxes = scene.captured_emitters.boxes
+        of_scene = scene.motion.graph_key, None if boxes is None else boxes.shape
+        histories = [part.has_history for part in (self._indirect.probes, self._antialiasing, *self._filters.values())]
+        return of_scene, self._mirrors.graph_key, self._gbuffer.kinds_before, histories
+
+    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
+        """Returns the camera rays with their radiance, as a wave, but without diffuse and indirect light.
+
+        Nothing changes that later frames reuse, so that the frame can be drawn again.
 
         Args:
             scene: The scene on the device, synced.
             plan: Plan of the frame.
             hits: The rays and their hits.
-            sample: Number of the frame in the sequence.
         """
-        self._begin_frame(scene.image_size, sample)
-        number = sample % 2
-        while True:
-            key = self._graph_key(scene, hits), self._gbuffer.kinds_before, self._mirrors.graph_key
-            lit = self._launcher.replay(f"surfaces{number}", key, lambda: self._light(scene, plan, hits, number))
-            if plan.max_bounces == 0 or self._mirrors.finish():
-                break
-        histories = [part.has_history for part in (self._indirect.probes, self._antialiasing, *self._filters.values())]
-        key = self._graph_key(scene, hits), lit.graph_key, histories
-        self._layers = self._launcher.replay(f"history{number}", key, lambda: self._average(scene, plan, lit, number))
-        if self._bounces:
-            self._indirect.cache.warn_of_overflow()
+        self._lit[self.turn] = lit = self._light(scene, plan, hits, self.turn)
         return lit.wave
+
+    def is_complete(self, plan: FramePlan) -> bool:
+        """Returns whether all reflected rays of the last `shade` were followed; if not, draw the frame again."""
+        return plan.max_bounces == 0 or self._mirrors.finish()
+
+    def finish(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
+        """Adds the remaining light to the camera rays, and updates the lighting that later frames reuse."""
+        self._layers = self._average(scene, plan, self._lit[self.turn], self.turn)
 
     def _light(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int) -> LitSurfaces:
         """Shades the surfaces that camera rays hit, and samples their direct light; follows reflected rays.
@@ -182,28 +193,9 @@ class RealtimeIntegrator:
                 images |= self._debug_images(debug_names, scene, surfaces, wave.count, number)
         return images
 
-    def _graph_key(self, scene: DeviceScene, hits: PrimaryHits) -> object:
-        """Returns values that the recorded graphs contain; a graph recorded with others is stale."""
-        emitters = scene.captured_emitters.boxes
-        boxes = None if emitters is None else emitters.shape
-        return scene.graph_key, scene.motion.graph_key, hits.graph_key, boxes
-
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """Returns the layers of light that the frame requests, from the last `shade`."""
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
-
-    def _begin_frame(self, size: tuple[int, int], number: int) -> None:
-        """Begins frame ``number`` of the sequence: writes to the device what changes from frame to frame.
-
-        A new image ``size`` (width, height) begins a new sequence, which is logged once.
-        """
-        if self._size != size:
-            self._restart(size)
-        self._shadows.begin_sample(number)
-        self._lights.begin_frame(number)
-        self._mirrors.begin_frame(number)
-        if self._bounces:
-            self._indirect.begin_frame(size, number)
 
     def _restart(self, size: tuple[int, int]) -> None:
         """Begins a new sequence with images of ``size``, because no earlier lighting has this size."""

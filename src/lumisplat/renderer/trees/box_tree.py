@@ -208,12 +208,28 @@ class HostBoxTree(BoxTree):
             split = self.by_area(upload_boxes(scratch, lows, highs), self.items)
         self.link(scratch, counts, split)
         self.order = np.array(self.items.numpy())
+        ranges = (scratch.get(name, wp.int32, len(counts) + int(counts.sum())) for name in ("begins", "ends"))
+        self._edges = np.stack([edges.numpy()[: len(self.nodes)] for edges in ranges], axis=1).ravel()
+        """Index of the first leaf of each node, and index after its last leaf, in turns."""
         self.refit(lows, highs)
         self.cost_built = self.cost
 
     def refit(self, lows: Doubles, highs: Doubles) -> None:
         """Sets new boxes; number and order must be as when the BVHs were built."""
-        self.fit(upload_boxes(self._buffers, lows[self.order], highs[self.order]))
+        self._lows, self._highs = lows[self.order], highs[self.order]
+        self.fit(upload_boxes(self._buffers, self._lows, self._highs))
+
+    @property
+    def cost(self) -> float:
+        """Total surface area of all nodes as `BoxTree.cost`, from the boxes in host memory, without a wait."""
+        if not len(self.order):
+            return 1.0
+        beyond = np.zeros((1, 3))  # some nodes end after the last leaf
+        low = np.minimum.reduceat(np.concatenate([self._lows, beyond]), self._edges)[::2]
+        high = np.maximum.reduceat(np.concatenate([self._highs, beyond]), self._edges)[::2]
+        sides = high - low
+        areas = (sides * np.roll(sides, 1, axis=1)).sum(axis=1)
+        return float(areas.sum() / areas[0]) if 0.0 < areas[0] < np.inf else 1.0
 
 
 def upload_boxes(buffers: Buffers, lows: Doubles, highs: Doubles) -> DeviceArray:

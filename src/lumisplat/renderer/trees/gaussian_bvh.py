@@ -38,6 +38,8 @@ class GaussianBvh(BoxTree):
     def __init__(self, launcher: Launcher, gaussians: GaussianData, kernel: KernelData) -> None:
         super().__init__(launcher)
         self._kernel = kernel
+        self._bounds: tuple[np.ndarray, np.ndarray] | None = None
+        """Result of `bounds` for the Gaussians as they are; None: not read from the device yet."""
         self._build(gaussians)
 
     def refit(self, gaussians: GaussianData) -> None:
@@ -55,9 +57,11 @@ class GaussianBvh(BoxTree):
 
         The box is inverted (lower above upper) if there are no Gaussians.
         """
-        root = self.nodes[:1].numpy()[0]
-        low, high = ([root[f"{side}_{axis}"] for axis in "xyz"] for side in ("low", "high"))
-        return np.min(low, axis=1).astype(np.float64), np.max(high, axis=1).astype(np.float64)
+        if self._bounds is None:
+            root = self.nodes[:1].numpy()[0]
+            low, high = ([root[f"{side}_{axis}"] for axis in "xyz"] for side in ("low", "high"))
+            self._bounds = np.min(low, axis=1).astype(np.float64), np.max(high, axis=1).astype(np.float64)
+        return self._bounds
 
     def _build(self, gaussians: GaussianData) -> None:
         count = len(gaussians.means)
@@ -99,6 +103,7 @@ class GaussianBvh(BoxTree):
             kernels.gather_particles, count, self._kernel, gaussians, self._items, self.particles, boxes
         )
         self.fit(boxes)
+        self._bounds = None
 
 
 def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:
