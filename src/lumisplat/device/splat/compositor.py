@@ -155,6 +155,9 @@ class TileVisitor(NamedTuple):
     """``(pixels, i, view, tile, x, y, settings, arrays)``: stores the result of pixel i after the tile's last splat."""
     is_sorted: bool = True
     """True: splats come sorted by depth, so that the tile ends at the first splat hidden in all pixels."""
+    expect: Any = None
+    """``(arrays, view, tile, index)``: called for all splats of a batch before they are visited; None: nothing is
+    called. It fetches the memory of ``end_splat``, whose scattered accesses would otherwise wait for each other."""
 
 
 @wp.func
@@ -180,6 +183,7 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
     touches_strip, at_pixel = footprint.touches_strip, footprint.at_pixel
     begin_pixel, visit, end_pixel = visitor.begin_pixel, visitor.visit, visitor.end_pixel
     end_splat, pass_by = visitor.end_splat, visitor.pass_by
+    EXPECTS, expect = visitor.expect is not None, visitor.expect or pass_by
 
     @wp.func
     def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
@@ -228,6 +232,9 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
             if IS_SORTED:
                 farthest = farthest_unfinished(pixels.transmittance, limits.limit_z)
                 visible = visible_end(splats, tile_splats, begin, visible, wp.max(farthest))
+            if EXPECTS:
+                for j in range(begin, visible):
+                    expect(arrays, view, tile, tile_splats[j])
             for j in range(begin, visible):
                 splat = splats[tile_splats[j]]
                 sums = Sums()

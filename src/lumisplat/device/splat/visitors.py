@@ -25,6 +25,7 @@ from lumisplat.device.camera.pixels import (
     ray_index,
     set_at,
 )
+from lumisplat.device.math.memory import prefetch_of
 from lumisplat.device.math.random import draw, draw_mixed, mix, sample_key_of
 from lumisplat.device.splat.blending import (
     add_relit,
@@ -482,6 +483,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
     StripParts = wp.types.vector(length=Sums._length_ * STRIP_PX, dtype=wp.float32)
     _, _, add_part_at = elements_of(StripParts)
     Arrays = backward_arrays(footprint)
+    prefetch = prefetch_of(Gradient)
 
     @wp.func
     def begin_backward(
@@ -524,6 +526,12 @@ def derivatives(footprint: Footprint) -> TileVisitor:
             add_part_at(sums, k * STRIP + x, part[k])
 
     @wp.func
+    def expect_record(arrays: Arrays, view: CameraData, tile: int, index: int):
+        slot = pair_slot(arrays.rects[index], arrays.pair_starts[index], tile % view.tiles_x, tile // view.tiles_x)
+        prefetch(arrays.pairs_out, slot)
+        prefetch(arrays.pairs_out, slot + 1)  # where the record ends, often in another cache line
+
+    @wp.func
     def store_record(arrays: Arrays, view: CameraData, tile: int, splat: SplatType, sums: StripParts):
         total = Sums()
         for x in range(STRIP):
@@ -560,6 +568,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
         end_splat=store_record,
         pass_by=store_nothing,
         end_pixel=end_backward,
+        expect=expect_record,
     )
 
 
