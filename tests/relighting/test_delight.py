@@ -39,7 +39,7 @@ def incident_of(
 ) -> Irradiance:
     """Returns the irradiance of the Gaussians of a set by ray tracing."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, cells)
+    return IncidentRays(gaussians, normals, renderer, 0).incident(normals, emitters, cells)
 
 
 @pytest.fixture(scope="module")
@@ -78,8 +78,8 @@ def is_room(opacity: float) -> bool:
     walls = replace(walls, opacities=np.full(walls.count, opacity, np.float32))
     capture = colored(ls.merge([ls.gaussians_from_mesh(ls.sphere(1.0), 200), walls]), np.full((700, 3), 0.4))
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    rays, near = IncidentRays(capture, renderer, 0), neighbours_of(capture)
-    return rays.facing(ls.estimate_normals(capture).astype(np.float64), near, None, has_normals=False)[1]
+    rays = IncidentRays(capture, ls.estimate_normals(capture).astype(np.float64), renderer, 0)
+    return rays.facing(neighbours_of(capture), None, has_normals=False)[1]
 
 
 def test_normal_side_known_for_one_gaussian_spreads_over_its_plane_and_no_further() -> None:
@@ -119,7 +119,7 @@ def test_points_that_delight_samples_on_a_gaussian_lie_in_its_plane_around_its_m
     )  # fmt: skip
     axes = rotation_matrix(rotation)
     rows = np.zeros(20_000, int)
-    points = SurfacePoints(one, 1).at(rows, np.tile(axes[:, 2], (20_000, 1))) @ axes
+    points = SurfacePoints(one, axes[None, :, 2], 1).at(rows) @ axes
     assert np.allclose(points.mean(axis=0), 0.0, atol=0.01)
     assert np.allclose(points.std(axis=0), (0.25, 0.15, 0.0), atol=0.005)
 

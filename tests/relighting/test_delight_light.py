@@ -43,7 +43,7 @@ def emitter_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarra
 def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray) -> Irradiance:
     """Returns the irradiance of the Gaussians of a set by ray tracing."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, EnvironmentCells.even(8))
+    return IncidentRays(gaussians, normals, renderer, 0).incident(normals, emitters, EnvironmentCells.even(8))
 
 
 def test_observed_irradiance_in_delight_excludes_gaussians_that_count_as_emitters() -> None:

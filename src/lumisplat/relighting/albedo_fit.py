@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lumisplat.constants import RADIANCE_LEAST
-from lumisplat.math.arrays import Doubles, Rows
+from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.directions import directions_of_square
 from lumisplat.relighting.irradiance import (
     Irradiance,
@@ -48,6 +48,9 @@ LIGHT_STEP_MAX = 0.7
 
 LIGHT_CONVERGED = 1e-3
 """The Gauss-Newton steps end when no radiance changes by more than this, in natural logarithm."""
+
+PAIRS_AT_ONCE = 1024
+"""Number of pairs of Gaussians whose derivatives are computed at once, 2 MB."""
 
 ENVIRONMENT_SMOOTHNESS = 3e-3
 """Weight of the squared differences between log radiances of neighbouring environment cells; all pairs of Gaussians
@@ -166,22 +169,20 @@ class AlbedoPairFit:
         first = np.concatenate([start.environment, start.emitters])
         radiances, prior = first.copy(), self._prior()
         rows, pairs = np.unique(self.pairs, return_inverse=True)  # few of the Gaussians are in pairs
-        first_row, second_row = pairs.reshape(-1, 2).T
+        pairs = pairs.reshape(-1, 2)
         columns = np.concatenate([self.incident.environment[rows], self.incident.emitters[rows]], axis=1)
         log_outgoing, observed = np.log(np.maximum(self.outgoing[rows], RADIANCE_LEAST)), self.incident.observed[rows]
         for _ in range(LIGHT_STEPS):
-            irradiance = np.maximum(observed + columns @ radiances, RADIANCE_LEAST)
+            irradiance = np.maximum(observed + columns @ radiances.astype(np.float32), RADIANCE_LEAST)
             differences = log_outgoing - np.log(irradiance)
-            differences = differences[first_row] - differences[second_row]
+            differences = differences[pairs[:, 0]] - differences[pairs[:, 1]]
             weights = self._weights(differences, width)
+            change = np.log(radiances / first)
             largest = 0.0
             for channel in range(3):
                 slopes = columns * (radiances[:, channel] / irradiance[:, channel, None]).astype(np.float32)
-                jacobian = slopes[second_row] - slopes[first_row]
-                weighted = jacobian * weights[:, channel, None].astype(np.float32)
-                change = np.log(radiances[:, channel] / first[:, channel])
-                hessian = (weighted.T @ jacobian).astype(np.float64) + prior
-                gradient = weighted.T @ differences[:, channel] + prior @ change
+                hessian, gradient = _normal_equations(slopes, pairs, weights[:, channel], differences[:, channel])
+                hessian, gradient = hessian + prior, gradient + prior @ change[:, channel]
                 step = -np.linalg.solve(hessian, gradient)
                 step *= min(1.0, LIGHT_STEP_MAX / max(float(np.abs(step).max(initial=0.0)), 1e-12))
                 radiances[:, channel] *= np.exp(step)
@@ -214,6 +215,35 @@ class AlbedoPairFit:
         np.add.at(form, (first, second), -weights)
         np.add.at(form, (second, first), -weights)
         return form
+
+
+def _normal_equations(
+    slopes: FloatArray, pairs: Rows, weights: Doubles, differences: Doubles
+) -> tuple[Doubles, Doubles]:
+    """Returns the Hessian, (M, M), and the gradient, (M,), of half the weighted squared differences of P pairs.
+
+    Args:
+        slopes: Derivatives of the logarithms of irradiance with respect to M unknowns, one row per surface, (N, M).
+        pairs: Indices of the pairs' surfaces, shape (P, 2).
+        weights: Weights of the pairs, shape (P,).
+        differences: Differences of the logarithms of the pairs' albedos, shape (P,).
+    """
+    hessian, gradient = np.zeros((slopes.shape[1],) * 2), np.zeros(slopes.shape[1])
+    roots = np.sqrt(weights).astype(np.float32)
+    weighted = roots * differences.astype(np.float32)
+    # In parts that stay in the caches.
+    jacobian, other = np.empty((2, PAIRS_AT_ONCE, slopes.shape[1]), np.float32)
+    for begin in range(0, len(pairs), PAIRS_AT_ONCE):
+        part = slice(begin, begin + PAIRS_AT_ONCE)
+        first, second = pairs[part].T
+        jacobian, other = jacobian[: len(first)], other[: len(first)]
+        np.take(slopes, second, axis=0, out=jacobian, mode="clip")
+        np.take(slopes, first, axis=0, out=other, mode="clip")
+        jacobian -= other
+        jacobian *= roots[part, None]
+        hessian += jacobian.T @ jacobian
+        gradient += jacobian.T @ weighted[part]
+    return hessian, gradient
 
 
 def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:

@@ -180,7 +180,9 @@ def estimate_materials(
         _log.warning("%s", no_surface_message(surface.fault))
     report = progress or no_progress
     pace = StagedProgress(report, _LABEL)
-    rays = IncidentRays(gaussians, renderer, config.seed, traced=pace.add)
+    given = gaussians.normals
+    axes = _agreeing_axes(gaussians) if given is None else given.astype(np.float64)
+    rays = IncidentRays(gaussians, axes, renderer, config.seed, traced=pace.add)
     # More BLAS threads change the last bits. They save a fifth of the time on two idle cores, but on busy ones they
     # wait for each other and take up to nine times as long.
     with threadpool_limits(1, user_api="blas"):
@@ -233,10 +235,8 @@ class _Delighter:
         self.pace.plan(_costs(count, self.config, inside=bool(self.config.inside), shines=may_shine))
         self.pace.begin(_SIDES)
         near = neighbours_of(self.gaussians)
-        given = self.gaussians.normals
-        axes = _agreeing_axes(self.gaussians) if given is None else given.astype(np.float64)
         begun = time.perf_counter()
-        normals, inside = self.rays.facing(axes, near, self.config.inside, has_normals=given is not None)
+        normals, inside = self.rays.facing(near, self.config.inside, has_normals=self.gaussians.normals is not None)
         rays_per_s = min(
             SIDE_DIRECTIONS * count / (time.perf_counter() - begun), _RAYS_PER_S
         )  # so no progress is undone

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array
@@ -31,6 +31,9 @@ NEIGHBOURS = 12
 
 NORMAL_SHARPNESS = 8
 """Weight with which irradiances of two Gaussians are averaged: the cosine between their normals to this power."""
+
+SMOOTHED_COLUMNS = 16
+"""Number of columns of values that are averaged at once in float64, to limit memory."""
 
 
 def neighbours_of(gaussians: Gaussians) -> Pairs:
@@ -62,10 +65,8 @@ Values = TypeVar("Values", FloatArray, Doubles)
 class Smoother:
     """Averages per-Gaussian values over neighbours with similar normals; emitters and other Gaussians do not mix."""
 
-    near: Pairs
-    weights: Doubles
-    """Weight of each pair of neighbours, with the shape of ``near.first``; over all pairs with one ``first``, the sum
-    is 1.
+    weights: Any
+    """Weights of all values in the mean of each of N Gaussians: a sparse matrix of SciPy, (N, N), whose rows sum to 1.
     """
 
     @staticmethod
@@ -73,14 +74,15 @@ class Smoother:
         """Computes the weights of the pairs ``near`` from N normals and the Gaussians' emitter indices, -1 for none."""
         weights = np.maximum(np.einsum("ij,ij->i", normals[near.first], normals[near.second]), 0.0) ** NORMAL_SHARPNESS
         weights[(emitters[near.first] >= 0) != (emitters[near.second] >= 0)] = 0.0
-        return Smoother(near, weights / np.bincount(near.first, weights, len(normals))[near.first])
+        weights /= np.bincount(near.first, weights, len(normals))[near.first]
+        return Smoother(csr_array((weights, (near.first, near.second)), (len(normals), len(normals))))
 
     def mean(self, values: Values) -> Values:
         """Averages values of N Gaussians, C numbers each, over neighbours with similar normals, shape (N, C)."""
         smooth = np.empty_like(values)
-        for column in range(values.shape[1]):
-            weighted = self.weights * values[self.near.second, column]
-            smooth[:, column] = np.bincount(self.near.first, weighted, len(values))
+        for first in range(0, values.shape[1], SMOOTHED_COLUMNS):
+            columns = slice(first, first + SMOOTHED_COLUMNS)
+            smooth[:, columns] = self.weights @ values[:, columns].astype(np.float64)
         return smooth
 
     def incident(self, incident: Irradiance) -> Irradiance:
@@ -142,22 +144,29 @@ class SurfacePoints:
     """Samples ray origins on Gaussians: random points, moved along the normal to the peak of the Gaussian's density.
 
     Args:
-        gaussians: The capture.
+        gaussians: The N Gaussians of the capture.
+        normals: Unit normals of the Gaussians, of either sign, shape (N, 3).
         seed: Seed of the points.
     """
 
-    def __init__(self, gaussians: Gaussians, seed: int) -> None:
-        self._means, self._scales = gaussians.means.astype(np.float64), gaussians.scales.astype(np.float64)
-        self._axes = matrices_from_quaternions(gaussians.rotations_wxyz)
+    def __init__(self, gaussians: Gaussians, normals: Doubles, seed: int) -> None:
+        scales = gaussians.scales.astype(np.float64)[:, None, :]
+        axes = matrices_from_quaternions(gaussians.rotations_wxyz)
+        slopes = np.einsum("ijk,ij->ik", axes, normals) / scales[:, 0]
+        slopes /= np.linalg.norm(slopes, axis=1, keepdims=True)
+        spread = SURFACE_SPREAD * scales * axes
+        spread -= np.einsum("ijk,ik->ij", spread, slopes)[:, :, None] * slopes[:, None, :]
+        self._means, self._spread = gaussians.means, np.ascontiguousarray(np.moveaxis(spread, 0, -1), np.float32)
+        """Means, and matrices from standard normal numbers to offsets from the means, shape (3, 3, N)."""
         self._rng = np.random.default_rng([seed, 9])
 
-    def at(self, rows: Rows, normals: Doubles) -> FloatArray:
-        """Samples one point on each of the R Gaussians ``rows``, whose unit normals are ``normals``; returns (R, 3)."""
-        point = SURFACE_SPREAD * self._rng.standard_normal((len(rows), 3))
-        slope = np.einsum("ijk,ij->ik", self._axes[rows], normals) / self._scales[rows]
-        along = np.einsum("ij,ij->i", point, slope) / np.einsum("ij,ij->i", slope, slope)
-        peak = self._scales[rows] * (point - along[:, None] * slope)
-        return (self._means[rows] + np.einsum("ijk,ik->ij", self._axes[rows], peak)).astype(np.float32)
+    def at(self, rows: Rows) -> FloatArray:
+        """Samples one point on each of the R Gaussians ``rows``, scene units, shape (R, 3)."""
+        numbers = np.ascontiguousarray(self._rng.standard_normal((len(rows), 3)).T, np.float32)
+        points = self._means[rows]
+        for k, row in enumerate(self._spread):
+            points[:, k] += sum(np.take(row[j], rows) * numbers[j] for j in range(3))
+        return points
 
 
 def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
@@ -187,6 +196,7 @@ class IncidentRays:
 
     Args:
         capture: The capture.
+        axes: Unit normals of arbitrary sign, shape (N, 3).
         renderer: Traces unlit rays with sorted hits.
         seed: Seed of the rays' origins and directions.
         traced: Called after each traced direction with N, for progress.
@@ -195,20 +205,21 @@ class IncidentRays:
     def __init__(
         self,
         capture: Gaussians,
+        axes: Doubles,
         renderer: Renderer,
         seed: int,
         traced: Callable[[int], object] = lambda count: None,
     ) -> None:
-        self._capture, self._renderer, self._traced = capture, renderer, traced
+        self._capture, self._axes, self._renderer, self._traced = capture, axes, renderer, traced
         self._scene = Scene([capture])
-        self._points = SurfacePoints(capture, seed)
+        self._points = SurfacePoints(capture, axes, seed)
         self._rng = np.random.default_rng([seed, 4])
         self._order = morton_order(capture.means)  # neighbouring rays are traced together
         self._means = capture.means.astype(np.float64)
         self._offsets = SHADOW_OFFSET * capture.scales.max(axis=1)
         self._extent = float(np.linalg.norm(np.ptp(self._means, axis=0)))
 
-    def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, has_normals: bool) -> tuple[Doubles, bool]:
+    def facing(self, near: Pairs, inside: bool | None, *, has_normals: bool) -> tuple[Doubles, bool]:
         """Returns normals towards the visible side of each Gaussian, and whether the capture was taken from inside.
 
         For an object, the visible side is the one from which rays escape. If rays escape from both sides, as from a
@@ -216,20 +227,17 @@ class IncidentRays:
         the one whose rays hit more, because nothing is behind the walls.
 
         Args:
-            axes: Unit axes of arbitrary sign, shape (N, 3).
             near: Pairs of neighbours, in both orders.
             inside: Whether the capture was taken from inside; None: decided by the fraction of Gaussians without open
                 sides.
             has_normals: Whether the axes are normals that came with the capture; such axes are returned unchanged.
         """
-        openness, distance, weights = np.zeros((2, len(axes))), np.zeros((2, len(axes))), np.zeros((2, len(axes)))
-        rows = self._order
+        axes, rows = self._axes, self._order
+        openness, distance, weights = np.zeros((3, 2, len(axes)))
         for direction in even_directions(SIDE_DIRECTIONS):
             cosines = axes[rows] @ direction
             side, cosines = (cosines < 0.0).astype(int), np.abs(cosines)  # grazing rays get small weights
-            hits = self._trace(
-                rows, np.where(side == 0, 1.0, -1.0)[:, None] * axes[rows], np.tile(direction, (len(axes), 1))
-            )
+            hits = self._trace(rows, np.tile(direction, (len(axes), 1)))
             openness[side, rows] += cosines * hits.transmittance
             distance[side, rows] += cosines * np.where(
                 np.isfinite(hits.depth), np.minimum(hits.depth, self._extent), 0.0
@@ -257,18 +265,18 @@ class IncidentRays:
         """Traces one ray per Gaussian and environment cell; returns the irradiance on the side to which normals point.
 
         Args:
-            normals: Unit normals, shape (N, 3).
+            normals: The axes, turned to the visible side, shape (N, 3).
             emitters: Index of the emitter to which each Gaussian belongs, -1 for none, shape (N,).
             cells: Environment cells over the sphere.
             stores_directions: Whether to store the irradiance from the capture by direction, too: one entry per cell.
         """
         by_direction = np.zeros((len(cells) if stores_directions else 0, len(normals), 3), np.float16)
-        observed, environment = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
+        observed, environment = np.zeros((len(normals), 3)), np.zeros((len(cells), len(normals)), np.float32)
         groups = range(int(emitters.max(initial=-1)) + 1)
         hit_sums = np.zeros(len(groups))
         for cell in range(len(cells)):
             rows, directions, shares = self._sampled_directions(normals, cells, cell)
-            hits = self._trace(rows, normals[rows], directions)
+            hits = self._trace(rows, directions)
             alpha = 1.0 - hits.transmittance.astype(np.float64)
             emitter = np.where(hits.gaussian_index >= 0, emitters[hits.gaussian_index], -1)
             is_emitter = emitter >= 0
@@ -277,14 +285,16 @@ class IncidentRays:
             observed[rows] += observed_radiance
             if stores_directions:
                 by_direction[cell, rows] = observed_radiance
-            environment[rows, cell] = shares * hits.transmittance
+            environment[cell, rows] = shares * hits.transmittance
             self._traced(len(normals))
         from_emitters = [self._from_emitter(normals, np.flatnonzero(emitters == emitter)) for emitter in groups]
         shares = np.stack(from_emitters, axis=1) if from_emitters else np.zeros((len(normals), 0))
         brought = shares.sum(axis=0)
         shares *= np.where((brought > 0.0) & (hit_sums > 0.0), hit_sums / np.maximum(brought, 1e-12), 1.0)
         directions = cells.directions if stores_directions else np.zeros((0, 3))
-        return Irradiance(observed, environment, shares.astype(np.float32), directions, by_direction)
+        return Irradiance(
+            observed, np.ascontiguousarray(environment.T), shares.astype(np.float32), directions, by_direction
+        )
 
     def from_environment(self, normals: Doubles, cells: EnvironmentCells) -> FloatArray:
         """Returns irradiance / pi at N Gaussians from each of K environment cells with radiance 1, with shadows.
@@ -292,14 +302,12 @@ class IncidentRays:
         Returns:
             Float32 irradiances over pi, shape (N, K).
         """
-        environment = np.zeros((len(normals), len(cells)), np.float32)
+        environment = np.zeros((len(cells), len(normals)), np.float32)
         for cell in range(len(cells)):
             rows, directions, shares = self._sampled_directions(normals, cells, cell)
-            environment[rows, cell] = shares * self._transmittance(
-                rows, normals[rows], directions, np.full(len(rows), np.inf)
-            )
+            environment[cell, rows] = shares * self._transmittance(rows, directions, np.full(len(rows), np.inf))
             self._traced(len(normals))
-        return environment
+        return np.ascontiguousarray(environment.T)
 
     def _sampled_directions(
         self, normals: Doubles, cells: EnvironmentCells, cell: int
@@ -331,17 +339,17 @@ class IncidentRays:
             at_surface, at_emitter = np.einsum("ij,ij->i", normals, legs), -(legs @ normals[point])
             near = self._offsets[point]
             rows = np.flatnonzero((at_surface > 0.0) & (at_emitter > 0.0) & (distance > near))
-            arrived = self._transmittance(rows, normals[rows], legs[rows], distance[rows] - near)
+            arrived = self._transmittance(rows, legs[rows], distance[rows] - near)
             found[rows] += arrived * at_surface[rows] * at_emitter[rows] / distance[rows] ** 2
         return found * (area.sum() / (np.pi * EMITTER_POINTS))
 
-    def _trace(self, rows: Rows, normals: Doubles, directions: Doubles) -> RayHits:
-        """Traces one ray from each of the Gaussians ``rows``, starting on the normal's side; returns the rays' hits."""
-        points = self._points.at(rows, normals)
+    def _trace(self, rows: Rows, directions: Doubles) -> RayHits:
+        """Traces one ray from each of the Gaussians ``rows``; returns the rays' hits."""
+        points = self._points.at(rows)
         return self._renderer.leaving_hits(self._scene, points, directions.astype(np.float32), self._offsets[rows])
 
-    def _transmittance(self, rows: Rows, normals: Doubles, directions: Doubles, distances: Doubles) -> FloatArray:
+    def _transmittance(self, rows: Rows, directions: Doubles, distances: Doubles) -> FloatArray:
         """Returns the transmittance of one ray from each of the Gaussians ``rows`` up to its distance, scene units."""
-        points = self._points.at(rows, normals)
+        points = self._points.at(rows)
         legs, lengths = directions.astype(np.float32), distances.astype(np.float32)
         return self._renderer.leaving_transmittance(self._scene, points, legs, lengths, self._offsets[rows])
