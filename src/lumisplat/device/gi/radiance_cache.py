@@ -271,10 +271,10 @@ def with_coordinate(key: wp.int64, coordinate: int) -> wp.int64:
 
 
 @wp.func
-def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> CacheCell:
+def cell_at(position: wp.vec3, normal: wp.vec3, level: int, for_short: bool) -> CacheCell:
     """Returns the cache cell, 2^level scene units wide, that contains a surface point with a normal.
 
-    ``is_near`` selects the cells for short rays instead of those for long rays.
+    ``for_short`` selects the cells for short rays instead of those for long rays.
     """
     cell = CacheCell()
     cell.key = NO_TILE
@@ -286,7 +286,7 @@ def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> Ca
         u = int(wp.floor(scaled[(axis + 1) % 3]))
         v = int(wp.floor(scaled[(axis + 2) % 3]))
         w = int(wp.floor(scaled[axis] + SHIFT))
-        head = wp.int64(2 * (8 * (level + LEVEL_LAST) + face) + int(is_near))
+        head = wp.int64(2 * (8 * (level + LEVEL_LAST) + face) + int(for_short))
         cell.key = with_coordinate(with_coordinate(with_coordinate(head, u >> 3), v >> 3), w)
         cell.cell = 8 * (v & 7) + (u & 7)
     return cell

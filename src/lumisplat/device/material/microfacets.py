@@ -254,9 +254,9 @@ def highlight_factor(normal: wp.vec3, view: wp.vec3, light: wp.vec3, alpha: floa
     """
     half = view + light
     x = wp.max(1.0 - 0.5 * wp.length(half), 0.0)
-    fresnel = HEAD_ON + (1.0 - HEAD_ON) * x * x * x * x * x
+    reflected = HEAD_ON + (1.0 - HEAD_ON) * x * x * x * x * x
     masks = smith_g1(wp.dot(normal, view), alpha) * smith_g1(wp.dot(normal, light), alpha)
-    return fresnel * ggx_d(normal, half, alpha) * masks
+    return reflected * ggx_d(normal, half, alpha) * masks
 
 
 @wp.func
@@ -411,12 +411,12 @@ def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, c
     microfacet blocks the light.
     """
     to_view = wp.dot(view, half)
-    mirrored = wp.normalize(2.0 * to_view * half - view)
-    is_lost = wp.dot(normal, mirrored) <= 0.0
-    found = mirrored
+    reflected = wp.normalize(2.0 * to_view * half - view)
+    is_lost = wp.dot(normal, reflected) <= 0.0
+    found = reflected
     if choice >= reflected_chance(bsdf, to_view):
         if bsdf.thin_walled:
-            found = mirrored - 2.0 * wp.dot(normal, mirrored) * normal
+            found = reflected - 2.0 * wp.dot(normal, reflected) * normal
         else:
             found = refract(-view, half, bending(bsdf.eta))
             is_lost = wp.dot(normal, found) >= 0.0
@@ -428,9 +428,9 @@ def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, c
 @wp.func
 def glass_share(bsdf: Bsdf, cos_view: float) -> float:
     """Returns the probability with which rough glass samples microfacets instead of the diffuse lobe."""
-    mirrored = dielectric_share(bsdf.dielectric, cos_view, bsdf.eta)
-    facets = (1.0 - bsdf.metallic) * mirrored + mean_of(bsdf.metal) + (1.0 - mirrored) * mean_of(bsdf.transmitted)
-    diffuse = (1.0 - mirrored) * mean_of(bsdf.diffuse)
+    reflected = dielectric_share(bsdf.dielectric, cos_view, bsdf.eta)
+    facets = (1.0 - bsdf.metallic) * reflected + mean_of(bsdf.metal) + (1.0 - reflected) * mean_of(bsdf.transmitted)
+    diffuse = (1.0 - reflected) * mean_of(bsdf.diffuse)
     if diffuse <= 0.0:
         return 1.0
     return facets / (facets + diffuse)

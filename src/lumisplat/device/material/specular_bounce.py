@@ -49,7 +49,7 @@ def stays_outside(direction: wp.vec3, normal: wp.vec3, side: wp.vec3, eta: float
 def bounce_of(
     material: SmoothData,
     base_color: wp.vec3,
-    face_normal: wp.vec3,
+    outward: wp.vec3,
     shading_normal: wp.vec3,
     direction: wp.vec3,
     eta: float,
@@ -60,9 +60,9 @@ def bounce_of(
     Metals reflect by Schlick's approximation, dielectrics by Fresnel's equations. The light that a dielectric does not
     reflect is divided between the refracted ray and the base colour, by the material's transmission.
 
-    ``face_normal`` points out of the mesh, so that it tells from which side the ray comes. ``shading_normal`` is
-    ignored where it would reflect the ray through the triangle or refract it back. ``eta`` is the index of refraction
-    on the ray's side over the index behind the surface. ``lit``: weights are for linear light instead of
+    ``outward`` is the triangle's normal, out of the mesh, and tells from which side the ray comes. ``shading_normal``
+    is ignored where it would reflect the ray through the triangle or refract it back. ``eta`` is the index of
+    refraction on the ray's side over the index behind the surface. ``lit``: weights are for linear light instead of
     display-referred colours.
     """
     bounce = Bounce()
@@ -73,10 +73,10 @@ def bounce_of(
     bounce.eta = eta
     if material.thin_walled != 0:
         bounce.eta = 1.0
-    bounce.side = face_normal
+    bounce.side = outward
     passes = material.transmission > 0.0
-    if wp.dot(direction, face_normal) > 0.0:
-        bounce.side = -face_normal
+    if wp.dot(direction, outward) > 0.0:
+        bounce.side = -outward
     bounce.normal = shading_normal
     if wp.dot(shading_normal, bounce.side) < 0.0:
         bounce.normal = -shading_normal
@@ -105,12 +105,15 @@ def bounce_of(
 
 
 @wp.func
-def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
-    """Returns the bounce at a surface between equal media: the whole ray passes straight."""
+def straight(outward: wp.vec3, direction: wp.vec3) -> Bounce:
+    """Returns the bounce at a surface between equal media: the whole ray passes straight.
+
+    ``outward`` is the triangle's normal, out of the mesh.
+    """
     bounce = Bounce()
-    bounce.side = face_normal
-    if wp.dot(direction, face_normal) > 0.0:
-        bounce.side = -face_normal
+    bounce.side = outward
+    if wp.dot(direction, outward) > 0.0:
+        bounce.side = -outward
     bounce.normal = bounce.side
     bounce.eta = 1.0
     bounce.refracted = wp.vec3(1.0)
