@@ -13,6 +13,9 @@ DOCS := $(VENV)/.installed-docs
 # A worker is about a gigabyte. Stealing keeps tests of a file together, and no worker idle.
 WORKERS := --numprocesses auto --maxprocesses 8 --dist worksteal
 
+# Editable installs get no compiled kernels, so that their build needs none of the packages that compile them.
+export HATCH_BUILD_NO_HOOKS := true
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:

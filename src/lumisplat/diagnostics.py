@@ -24,6 +24,7 @@ from lumisplat.runtime import trial_kernels
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.kernel_cache import OTHER_CACHE, cache_error
 from lumisplat.runtime.launcher import Launcher, usable_cores
+from lumisplat.runtime.shipped_objects import shipped_state
 from lumisplat.runtime.start import start_warp
 
 _DISTRIBUTION = "lumisplat"
@@ -111,6 +112,8 @@ class Diagnosis:
     """Packages that Lumisplat itself requires, without those of extras."""
     devices: tuple[DeviceFacts, ...]
     cache: CacheFacts
+    shipped_kernels: str
+    """Number of kernel modules that were compiled for CPUs when Lumisplat was built, and whether they are used here."""
     extras: tuple[ExtraFacts, ...]
     remarks: tuple[str, ...]
     """Observations that need no fix but may surprise, such as a GPU that cannot be used, one line each."""
@@ -140,6 +143,7 @@ def diagnose() -> Diagnosis:
     cache = _cache()
     with _writable_cache(cache):
         devices = tuple(_tested_device(device) for device in wp.get_devices())
+        shipped = shipped_state()
     return Diagnosis(
         version=metadata.version(_DISTRIBUTION),
         python=f"{platform.python_version()}, {sys.executable}",
@@ -148,6 +152,7 @@ def diagnose() -> Diagnosis:
         packages=_packages(extra=""),
         devices=devices,
         cache=cache,
+        shipped_kernels=shipped,
         extras=tuple(ExtraFacts(name, _packages(name)) for name in _extras() if name not in _FOR_DEVELOPERS),
         remarks=tuple(_remarks(devices)),
     )

@@ -182,12 +182,13 @@ def test_memory_pool_of_a_gpu_keeps_freed_scratch_memory_for_later_use(
 
 
 def test_loading_kernels_reports_progress_after_every_module() -> None:
-    """The reported fraction grows module by module, on the thread of the caller."""
-    heard: list[tuple[float, threading.Thread]] = []
+    """The reported fraction and the count in the label grow module by module, on the thread of the caller."""
+    heard: list[tuple[str, float, threading.Thread]] = []
     modules = [binning_kernels, camera_ray_kernels, film_kernels]
-    Launcher("cpu", threads=2).load(modules, lambda _, share: heard.append((share, threading.current_thread())))
-    assert [share for share, _ in heard] == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0])
-    assert {thread for _, thread in heard} == {threading.current_thread()}
+    Launcher("cpu", threads=2).load(modules, lambda *report: heard.append((*report, threading.current_thread())))
+    assert [share for _, share, _ in heard] == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0])
+    assert [label.partition(", ")[2] for label, *_ in heard[1:]] == [f"{done} of 3 modules" for done in (1, 2, 3)]
+    assert {thread for *_, thread in heard} == {threading.current_thread()}
 
 
 @pytest.mark.parametrize("threads", [1, 2])

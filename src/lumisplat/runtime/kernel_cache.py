@@ -1,4 +1,4 @@
-"""The disk cache of compiled kernels: loads modules from it, and recompiles damaged ones."""
+"""Loads compiled kernels: those that are shipped, else those of Warp's disk cache, where missing ones are compiled."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from types import ModuleType
 import warp as wp
 
 from lumisplat.errors import DeviceError
+from lumisplat.runtime.shipped_objects import shipped_object
 
 _log = logging.getLogger("lumisplat")
 
@@ -40,9 +41,10 @@ _ABANDONED_AFTER_S = 24 * 3600.0
 
 
 def load_module(module: KernelModule, device: str, block_threads: int) -> None:
-    """Loads a module from the cache, or compiles it into the cache; compiling takes seconds.
+    """Loads a module's shipped object or that of the cache, or compiles it into the cache; compiling takes seconds.
 
     Files in the cache may be truncated when a disk fills up or a machine stops. Such files are removed with a warning.
+    Damaged shipped files are compiled into the cache.
 
     Args:
         module: Module to load.
@@ -52,6 +54,8 @@ def load_module(module: KernelModule, device: str, block_threads: int) -> None:
     Raises:
         DeviceError: The cache folder cannot be used.
     """
+    if device == "cpu" and _load_shipped(warp_module_of(module), block_threads):
+        return
     folder = _folder(module, block_threads)
     if any(_is_damaged(file) for file in folder.glob("*")):
         _remove(folder)
@@ -71,6 +75,24 @@ def load_module(module: KernelModule, device: str, block_threads: int) -> None:
             wp.load_module(module, device=device, block_dim=block_threads)
     except OSError as error:
         raise cache_error(error) from error
+
+
+def _load_shipped(module: wp.Module, block_threads: int) -> bool:
+    """Loads a module's shipped object; returns False if there is none, or with a warning if it is damaged."""
+    path = shipped_object(module, block_threads)
+    if path is None:
+        return False
+    meta = path.with_suffix(".meta")
+    try:
+        if not (_is_damaged(path) or _is_damaged(meta)):
+            module.load(  # pyright: ignore[reportUnknownMemberType]
+                "cpu", block_threads, binary_path=path, meta_path=meta
+            )
+            return True
+    except Exception:  # Warp raises bare exceptions for damaged files
+        _log.debug("%s cannot be loaded", path, exc_info=True)
+    _log.warning("%s: damaged, so it is compiled: install Lumisplat again", path)
+    return False
 
 
 def cache_error(error: OSError) -> DeviceError:

@@ -185,10 +185,10 @@ class Launcher:
         return most if self.is_parallel else grown_capacity(min(int(ends[-1:].numpy()[0]), most))
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
-        """Compiles and loads those of the kernel modules that are not loaded yet, on all threads.
+        """Loads those of the kernel modules that are not loaded yet, on all threads; compiles those not shipped.
 
         Compilation on first use on a machine takes seconds and is announced by a warning; compiled modules are cached
-        on disk. Warp's compilers release the GIL.
+        on disk. Warp's compilers release the GIL. The label of the progress counts the modules.
         """
         missing = [module for key, module in {id(one): one for one in modules}.items() if key not in self._loaded]
         if not missing:
@@ -203,11 +203,11 @@ class Launcher:
                 label = "compiling kernels (once)"
                 _log.warning("%s: this takes up to a minute", label)
                 if progress:
-                    progress(label, 0.0)
+                    progress(f"{label}, {len(missing) - len(loading)} of {len(missing)} modules", 0.0)
             for done, job in enumerate(as_completed(jobs), start=1):
                 job.result()
                 if progress:
-                    progress(label, done / len(missing))
+                    progress(f"{label}, {done} of {len(missing)} modules", done / len(missing))
         self._loaded |= {id(module): module for module in missing}
 
     def run(self, kernel: Kernel, count: int, *inputs: object) -> None:

@@ -61,7 +61,9 @@ def _print(found: ls.diagnostics.Diagnosis) -> None:
     )
     cache = found.cache
     space = f"{byte_size(cache.used_bytes)}, {byte_size(cache.free_bytes)} free"
-    print_table("compiled kernels", [("folder", str(cache.folder)), ("space", space)])
+    print_table(
+        "compiled kernels", [("shipped", found.shipped_kernels), ("folder", str(cache.folder)), ("space", space)]
+    )
     print_table("extras", [(extra.name, _state(extra)) for extra in found.extras])
     for remark in found.remarks:
         print(remark)
