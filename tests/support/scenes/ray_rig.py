@@ -92,7 +92,8 @@ class RayRig:
         hits = self.find_hits(self.scene, self._rays(origins, directions, **limits), "test")
         tracer: Any = self
         integrator = WhittedIntegrator(self._launcher, self.buffers, config, tracer)
-        return integrator.shade(self.scene, plan, hits, 0).row.radiance.captured.numpy().copy()
+        integrator.begin_sample(self.scene, 0)
+        return integrator.shade(self.scene, plan, hits).row.radiance.captured.numpy().copy()
 
     def find_hits(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> PrimaryHits:
         """Replaces the ray tracer's method: finds meshes, and puts the same Gaussians in front of all of them."""
