@@ -21,6 +21,7 @@ from tools.compile_kernels import compile_into, cpu_modules
 import lumisplat
 from lumisplat.runtime import shipped_objects
 from lumisplat.runtime.kernel_cache import load_module
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.shipped_objects import missing_features, shipped_state, target_of_kernels
 from lumisplat.runtime.start import start_warp
 
@@ -75,6 +76,14 @@ def test_shipped_kernels_run_without_compilation_and_nothing_is_written(shipped:
     assert values.numpy().tolist() == [3.0, 6.0]
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
     assert shipped_state() == "1 modules for CPUs, used"
+
+
+def test_launch_of_a_module_that_no_pass_has_loaded_uses_the_shipped_object(shipped: Path, tmp_path: Path) -> None:
+    """Warp loads such a module itself, without knowing of shipped objects."""
+    values = wp.array([1.0, 2.0], dtype=float, device="cpu")
+    Launcher("cpu").run(thrice, 2, values)
+    assert values.numpy().tolist() == [3.0, 6.0]
+    assert not any((tmp_path / "cache").rglob("*.o"))
 
 
 def test_threads_load_one_shipped_kernel_at_the_same_time(shipped: Path, left_to_warp: list[str]) -> None:

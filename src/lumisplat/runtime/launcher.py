@@ -166,8 +166,8 @@ class Launcher:
         """True while `replay` records a CUDA graph: nothing runs yet, so counts must not be read back."""
         self._loaded: dict[int, KernelModule] = {}
         """Loaded modules by ``id``; the reference to the module keeps the id from being reused."""
-        self._banded: set[object] = set()
-        """Modules whose kernels have run in bands (ranges of thread indices) on several CPU threads."""
+        self._launched: set[object] = set()
+        """Modules whose kernels have been launched on the CPU."""
         if self.is_cuda:
             retain_pool(self.device)
 
@@ -213,6 +213,7 @@ class Launcher:
     def run(self, kernel: Kernel, count: int, *inputs: object) -> None:
         """Launches ``kernel`` once with ``count`` thread indices; ``inputs`` are the kernel's parameters."""
         if count:
+            self._load_before_launch(kernel)
             wp.launch(  # pyright: ignore[reportUnknownMemberType]
                 kernel, dim=count, inputs=inputs, device=self.device, block_dim=self._threads_of(kernel)
             )
@@ -249,7 +250,7 @@ class Launcher:
         if self.threads == 1 or bands < 2:
             self.run(kernel, count, 0, *inputs)
             return
-        self._load_for_bands(kernel)
+        self._load_before_launch(kernel)
         edges = [count * band // bands for band in range(bands + 1)]
         pending = iter(list(itertools.pairwise(edges)))
 
@@ -271,12 +272,16 @@ class Launcher:
             for job in jobs:
                 job.result()
 
-    def _load_for_bands(self, kernel: Kernel) -> None:
-        """Loads a kernel's module before threads launch it, so that no thread replaces a module that another runs."""
+    def _load_before_launch(self, kernel: Kernel) -> None:
+        """Loads a kernel's module on the CPU, unless it has been launched.
+
+        Warp would load it, but compile it even if it is shipped; and of threads that launch a module, one would replace
+        what another runs.
+        """
         module: Any = getattr(kernel, "module", None)
-        if module is not None and module not in self._banded:
+        if not self.is_cuda and module is not None and module not in self._launched:
             self._load(module)
-            self._banded.add(module)
+            self._launched.add(module)
 
     def _run_band(self, launch: Any, kernel: Kernel, start: int, end: int, inputs: Sequence[object]) -> Any:
         """Runs the thread indices from ``start`` to ``end`` of a kernel on this thread; returns the recorded launch.
