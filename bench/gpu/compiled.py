@@ -12,18 +12,20 @@ from bench.gpu.cubin import resources_of
 from bench.gpu.worker import Finding, Setting
 from lumisplat.constants import TRAVERSE_STACK_SMALL
 from lumisplat.renderer.gradients import splat_backward_kernels
-from lumisplat.renderer.integrators import path_kernels
+from lumisplat.renderer.integrators import opaque_path_kernels, path_kernels
 from lumisplat.renderer.raster import splat_kernels
 from lumisplat.renderer.realtime import pixel_light_kernels, secondary_ray_kernels
 from lumisplat.renderer.shadow import gaussian_shadow_kernels
 from lumisplat.renderer.shadow.gaussian_shadow_kernels import first_hits_shadow_kernel, shadow_kernel
 from lumisplat.renderer.trace import mesh_trace_kernels, stochastic_hit_kernels
 from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kernel
+from lumisplat.renderer.trace.tile_trace_kernels import tile_trace_kernel
 from lumisplat.runtime.launcher import block_threads
 from support.kernels import cuda_modules, generated_modules
 
 HOT: dict[str, Any] = {
-    "camera rays": lambda: gaussian_trace_kernel(1, TRAVERSE_STACK_SMALL),
+    "traced rays": lambda: gaussian_trace_kernel(1, TRAVERSE_STACK_SMALL),
+    "camera rays by tiles": lambda: tile_trace_kernel(1),
     "bounced stochastic rays": lambda: stochastic_hit_kernels.find_stochastic_hits,
     "exact shadow rays": lambda: shadow_kernel(1, TRAVERSE_STACK_SMALL),
     "first-hits shadow rays": lambda: first_hits_shadow_kernel(1, TRAVERSE_STACK_SMALL),
@@ -31,7 +33,7 @@ HOT: dict[str, Any] = {
     "mesh rays": lambda: mesh_trace_kernels.find_mesh_hits,
     "compositing": lambda: splat_kernels.composite_blocks,
     "paths": lambda: path_kernels.continue_paths,
-    "sampled light": lambda: path_kernels.add_sampled_light,
+    "paths on opaque meshes": lambda: opaque_path_kernels.shade_opaque_paths,
     "direct light in real time": lambda: pixel_light_kernels.sample_lights,
     "indirect light in real time": lambda: secondary_ray_kernels.shade_hits,
     "gradients": lambda: splat_backward_kernels.backward_blocks,

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import warp as wp
-from bench.gpu import cubin, variants
+from bench.gpu import compiled as compiled_step, cubin, variants
 from bench.gpu.kernel_times import KernelLauncher
 from bench.gpu.worker import Setting
 
@@ -71,6 +71,12 @@ def test_occupancy_is_limited_by_shared_memory() -> None:
     """Blocks of 34 KiB fit twice into the 100 KiB of compute capability 8.6, and six times into 228 KiB of 9.0."""
     block = cubin.Resources(32, 0, 34 * 1024, 1)
     assert [block.occupancy(one, 256)[0] for one in (86, 90)] == [2 * 8, 6 * 8]
+
+
+def test_listed_hot_kernels_exist() -> None:
+    """A kernel that is renamed or joined with another must be replaced in the list."""
+    for title, kernel in compiled_step.HOT.items():
+        assert isinstance(kernel(), wp.Kernel), title
 
 
 def test_variant_whose_frame_differs_is_reported_as_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
