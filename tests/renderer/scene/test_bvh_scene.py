@@ -13,7 +13,7 @@ from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
 from lumisplat.renderer.scene import assets, bvh_scene
 from lumisplat.renderer.scene.bvh_scene import tree_of_boxes, waiting_in_tree
-from support.compare.backends import renderer_of
+from support.compare.backends import renderer_of, without_lists
 from support.compare.graph_launcher import GraphLauncher
 from support.compare.images import assert_close, assert_images_alike
 from support.kinds import present
@@ -36,9 +36,14 @@ def view() -> ls.Camera:
     return front_camera(24, 18, 22.0)
 
 
+def tracer_of(backend: str, config: ls.RenderConfig = TRACE) -> ls.Renderer:
+    """Returns a renderer whose camera rays traverse BVHs."""
+    return without_lists(renderer_of(backend, config))
+
+
 def assert_as_new(warm: ls.Renderer, backend: str, scene: ls.Scene) -> None:
     """Asserts that the image equals that of a new renderer to the bit."""
-    shown, fresh = (renderer.render(scene, view()) for renderer in (warm, renderer_of(backend, warm.config)))
+    shown, fresh = (renderer.render(scene, view()) for renderer in (warm, tracer_of(backend, warm.config)))
     for name in IMAGES:
         np.testing.assert_array_equal(getattr(shown, name), getattr(fresh, name), err_msg=name)
 
@@ -58,7 +63,7 @@ def test_instances_of_one_gaussian_set_share_its_bvh(backend: str) -> None:
     scene = ls.Scene(
         [ls.SplatInstance(g, transform) for g, transform in zip((first, second, first), positions, strict=True)]
     )
-    renderer = renderer_of(backend, TRACE)
+    renderer = tracer_of(backend)
     renderer.render(scene, view())
     trees = bvh_ids(renderer)
     assert len(trees) == 2
@@ -77,7 +82,7 @@ def test_instances_of_one_gaussian_set_share_its_bvh(backend: str) -> None:
 def test_replacing_a_gaussian_set_by_one_of_equal_count_refits_its_bvh(backend: str) -> None:
     """BVHs of other sets are unchanged."""
     first, second = random_gaussians(3, 60), random_gaussians(4, 60)
-    warm = renderer_of(backend, TRACE)
+    warm = tracer_of(backend)
     assert_as_new(warm, backend, ls.Scene([first, second]))
     trees = bvh_ids(warm)
     second_nodes = warm._scene.bvh._cached[1].bvh.nodes.numpy().tobytes()
@@ -93,7 +98,7 @@ def test_replacing_a_gaussian_set_by_one_of_equal_count_refits_its_bvh(backend: 
 def test_bvh_of_a_gaussian_set_is_kept_when_sets_of_the_scene_are_rearranged(backend: str, change: str) -> None:
     """BVHs stay with their sets; a set that replaces none gets a new BVH."""
     first, second = random_gaussians(5, 60), random_gaussians(6, 60)
-    warm = renderer_of(backend, TRACE)
+    warm = tracer_of(backend)
     warm.render(ls.Scene([first, second]), view())
     a, b = bvh_ids(warm)
     old_bvhs = warm._scene.bvh._cached  # keeps old BVHs alive, so that no new BVH gets the id of an old one
@@ -121,20 +126,18 @@ def test_each_capture_is_traced_with_the_kernel_degree_it_stores(backend: str) -
     """A kernel degree in the settings replaces that of all captures."""
     left, right = one_gaussian((-0.9, 0.0, 4.0), 0.2, 0.9), one_gaussian((0.9, 0.0, 4.0), 0.2, 0.9)
     sharp = replace(right, kernel_degree=5)
-    mixed = renderer_of(backend, TRACE).render(ls.Scene([left, sharp]), view())
-    soft = renderer_of(backend, TRACE).render(ls.Scene([left, right]), view())
+    mixed = tracer_of(backend).render(ls.Scene([left, sharp]), view())
+    soft = tracer_of(backend).render(ls.Scene([left, right]), view())
     np.testing.assert_array_equal(mixed.alpha[:, :12], soft.alpha[:, :12])
     assert np.abs(mixed.alpha[:, 12:] - soft.alpha[:, 12:]).max() > 0.1
     forced = replace(TRACE, response=ls.config.ResponseConfig(kernel_degree=2))
-    np.testing.assert_array_equal(
-        renderer_of(backend, forced).render(ls.Scene([left, sharp]), view()).alpha, soft.alpha
-    )
+    np.testing.assert_array_equal(tracer_of(backend, forced).render(ls.Scene([left, sharp]), view()).alpha, soft.alpha)
 
 
 def test_reported_memory_of_a_renderer_includes_its_bvhs() -> None:
     """The memory covers particles and nodes."""
     gaussians = random_gaussians(8, 3000)
-    renderer = renderer_of("cpu", TRACE)
+    renderer = tracer_of("cpu")
     frame = renderer.render(ls.Scene([gaussians]), view())
     assert frame.stats is not None
     assert frame.stats.memory_bytes >= 64 * 3000 + renderer._scene.bvh.bytes > 64 * 3000 + 224 * 3000 / NODE_WIDTH
@@ -153,8 +156,8 @@ def test_reported_memory_of_a_renderer_includes_its_bvhs() -> None:
 def test_gaussian_whose_bounds_overflow_does_not_change_other_gaussians(backend: str, stray: ls.Gaussians) -> None:
     """The overflowing Gaussian may be drawn or not."""
     gaussians = random_gaussians(13, 100)
-    renderer = renderer_of(backend, TRACE)
-    expected = renderer_of(backend, TRACE).render(ls.Scene([gaussians]), view())
+    renderer = tracer_of(backend)
+    expected = tracer_of(backend).render(ls.Scene([gaussians]), view())
     for scene in (ls.Scene([joined(gaussians, stray)]), ls.Scene([joined(stray, gaussians)])):
         frame = renderer.render(scene, view())
         assert_close(frame.alpha, expected.alpha, atol=0.021, name="alpha")
@@ -173,13 +176,14 @@ def test_frames_are_equal_with_the_larger_traversal_stack_for_deep_bvhs(
     positions = [similarity(offset=(0.3 * i - 1.5, 0.0, 4.0 + 0.1 * i), scale=0.5) for i in range(12)]
     light = ls.LightPoint((0.0, -3.0, 0.0), intensity=20.0)
     few, many = (
-        ls.Scene([ls.SplatInstance(ball, transform) for transform in positions[:n]], lights=[light]) for n in (1, 12)
+        ls.Scene([ls.SplatInstance(ball, transform, ls.MaterialPbr()) for transform in positions[:n]], lights=[light])
+        for n in (1, 12)
     )
     settings = ls.RenderConfig(pipeline=pipeline, samples=1)
     frames = []
     for limit in (TRAVERSE_STACK_SMALL, 0):
         monkeypatch.setattr(bvh_scene, "TRAVERSE_STACK_SMALL", limit)
-        renderer = ls.Renderer(settings, GraphLauncher())
+        renderer = without_lists(ls.Renderer(settings, GraphLauncher()))
         frames.append([renderer.render(scene, view()).color for scene in (few, few, few, many, many, many, few)])
         assert renderer._scene.bvh.stack == (limit or TRAVERSE_STACK)
     np.testing.assert_array_equal(*frames)
@@ -187,7 +191,7 @@ def test_frames_are_equal_with_the_larger_traversal_stack_for_deep_bvhs(
 
 def test_traversal_stack_is_large_enough_for_top_level_tree_and_deepest_bvh_together() -> None:
     """The deepest path goes through the top-level tree and the deepest BVH of a set."""
-    renderer = renderer_of("cpu", TRACE)
+    renderer = tracer_of("cpu")
     small, large = random_gaussians(1, 5), random_gaussians(2, 3000)
     needed = []
     for sets in ([small], [large], [small, large], [small] * 9):
@@ -208,7 +212,7 @@ def test_traversal_stack_is_large_enough_for_top_level_tree_and_deepest_bvh_toge
 def test_bvh_tables_hold_no_addresses_of_freed_arrays_after_a_failed_upload(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sets that were freed for a scene that did not fit have new addresses when they return."""
     first, second = random_gaussians(9, 60), random_gaussians(10, 70)
-    renderer = renderer_of("cpu", TRACE)
+    renderer = tracer_of("cpu")
     renderer.render(ls.Scene([first]), view())
     freed = renderer._scene.assets[0].data  # kept alive, so that the next upload gets another address
 
@@ -229,7 +233,7 @@ def test_frame_after_a_failed_bvh_build_equals_that_of_a_new_renderer(
 ) -> None:
     """A BVH that was refitted before the next build failed is not reused."""
     first, second = random_gaussians(11, 60), random_gaussians(12, 70)
-    renderer = renderer_of(backend, TRACE)
+    renderer = tracer_of(backend)
     renderer.render(ls.Scene([first]), view())
 
     def refuse(*_: object) -> None:
@@ -344,7 +348,7 @@ def test_many_instances_are_traced_like_one_merged_set(backend: str, count: int,
         ]
     )
     whole = ls.Scene([joined(*(baked(instance) for instance in scene.splats))])
-    shown, expected = (renderer_of(backend, TRACE).render(one, view()) for one in (scene, whole))
+    shown, expected = (tracer_of(backend).render(one, view()) for one in (scene, whole))
     assert expected.alpha.mean() > 0.05
     for name in ("color", "alpha"):
         # Rounding may add or drop the rim of a Gaussian, whose alpha is 1/255.
