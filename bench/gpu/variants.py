@@ -32,7 +32,7 @@ from lumisplat.constants import TRAVERSE_STACK_SMALL
 from lumisplat.device.bvh.packet import child_entries, packet_of
 from lumisplat.device.gaussian.packet_tracing import packet_tracing_of
 from lumisplat.device.structs.bvh import Candidate, Node, Particle, Slabs
-from lumisplat.renderer.trace import gaussian_trace_kernels, seen_gaussian_kernels, tile_trace_kernels
+from lumisplat.renderer.trace import gaussian_trace_kernels, tile_trace_kernels
 from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kernel
 from lumisplat.renderer.trace.tile_trace_kernels import tile_trace_kernel
 from lumisplat.runtime.launcher import block_threads
@@ -78,8 +78,7 @@ class Group:
     loads: Mapping[str, Any]
     """Functions that load a struct from global memory, ``module:NAME``, and the struct."""
     variants: tuple[Variant, ...]
-    tolerance: float = 0.0
-    """Largest difference from the first variant's frame; 0: the same bits."""
+    """Variants that all give the frame of the first, to the bit."""
 
 
 def traced_synthetic(setting: Setting) -> tuple[ls.Scene, ls.Camera]:
@@ -119,7 +118,7 @@ LISTED = replace(
 
 def hit_list(slots: int) -> Variant:
     """Returns the tracer with another length of a ray's list of hits."""
-    names = ("lumisplat.device.gaussian.packet_tracing", "lumisplat.renderer.trace.trace_settings")
+    names = ("lumisplat.device.gaussian.packet_tracing", "lumisplat.renderer.trace.gaussian_trace")
     return Variant(f"{slots} hits", {f"{name}:HIT_BUFFER_CUDA": slots for name in names})
 
 
@@ -137,7 +136,6 @@ def whole_node_entries(  # noqa: PLR0917
 
 
 TESTED_ALONE = {"lumisplat.device.bvh.packet:child_entries_of_group": whole_node_entries}
-COLORS_PER_HIT = {"lumisplat.renderer.trace.gaussian_trace:SEEN_RAYS": np.inf}
 STOCHASTIC = replace(TRACED.config, trace=ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT))
 GROUPS = {
     group.name: group
@@ -150,13 +148,6 @@ GROUPS = {
         ),
         replace(TRACED, name="stochastic hit", config=STOCHASTIC),
         replace(TRACED, name="node tests", variants=(Variant("code"), Variant("alone", TESTED_ALONE))),
-        replace(
-            TRACED,
-            name="colours",
-            kernels=lambda: [*TRACED.kernels(), seen_gaussian_kernels.see_gaussians],
-            variants=(Variant("code"), Variant("per hit", COLORS_PER_HIT)),
-            tolerance=1e-5,
-        ),
         replace(
             LISTED,
             name="lists by tiles",
@@ -205,7 +196,7 @@ def compare(setting: Setting, name: str) -> Iterator[Finding]:
         measured = {"kernels, ms": round(middle, 3), "ns a camera ray": round(1e6 * middle / rays, 2)}
         rows[variant.name] = {"variant": variant.name, **measured, **rows[variant.name]}
         apart = difference(frames[variant.name], first)
-        yield Finding(f"{variant.name}: largest difference", apart, is_wrong=not apart <= group.tolerance)
+        yield Finding(f"{variant.name}: largest difference", apart, is_wrong=apart != 0.0)
     yield Finding("variants", list(rows.values()))
     yield Finding("bytes", [{"variant": one.name, **moved_bytes(setting, group, one)} for one in group.variants])
 

@@ -60,8 +60,8 @@ from lumisplat.renderer.scene.camera_table import check_camera, refuse_lens
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import CapturedLight, FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
+from lumisplat.renderer.trace.gaussian_trace import RayLists
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
-from lumisplat.renderer.trace.ray_lists import RayLists
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers

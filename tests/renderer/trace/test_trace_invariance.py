@@ -12,7 +12,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.bvh.packet import PACKET_OPTIONS
-from lumisplat.renderer.trace import gaussian_trace_kernels, tile_trace_kernels, trace_settings
+from lumisplat.renderer.trace import gaussian_trace, gaussian_trace_kernels, tile_trace_kernels
 from lumisplat.runtime.launcher import Launcher
 from support.compare.backends import renderer_of, without_lists
 from support.compare.images import assert_close, assert_images_alike
@@ -246,7 +246,7 @@ def test_rays_that_end_early_blend_the_same_hits_with_short_lists(
     for slots in (32, 5, 2):
         with pytest.MonkeyPatch.context() as patch:
             for name in ("HIT_BUFFER_CPU", "HIT_BUFFER_CUDA"):
-                patch.setattr(trace_settings, name, slots)
+                patch.setattr(gaussian_trace, name, slots)
             frames.append(renderer_of(backend, config).render(ls.Scene([gaussians]), view()))
     for frame in frames[1:]:
         assert_equal(frame, frames[0])

@@ -32,10 +32,9 @@ from lumisplat.renderer.gradients.arrays import (
 from lumisplat.renderer.gradients.pose import pose_of_rays_gradient
 from lumisplat.renderer.rays import RayHits, RayLoader, batches
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, packet_ranges
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, packet_ranges, trace_table
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.trace_settings import trace_table
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum, sort_pairs

@@ -15,8 +15,7 @@ from lumisplat.renderer.scene.camera_table import image_field
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace import seen_gaussian_kernels
-from lumisplat.renderer.trace.ray_lists import RayLists
-from lumisplat.renderer.trace.trace_settings import trace_table
+from lumisplat.renderer.trace.gaussian_trace import RayLists, trace_table
 from lumisplat.runtime.buffers import Buffers, assign_table
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera

@@ -4,14 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from lumisplat.config import RenderConfig, TraceStrategy
-from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
-from lumisplat.device.structs.bvh import TraceData
+from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
+from lumisplat.constants import (
+    HIT_BUFFER_CPU,
+    HIT_BUFFER_CUDA,
+    PACKET_RAYS,
+    RAY_BANDS_PER_THREAD,
+    TRAVERSE_STACK,
+    TRAVERSE_STACK_SMALL,
+)
+from lumisplat.device.structs.bvh import (
+    FAR,
+    STRATEGY_HIT,
+    STRATEGY_PASS,
+    STRATEGY_SORTED,
+    CandidateLists,
+    SceneBvh,
+    TraceData,
+)
 from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
 from lumisplat.math.arrays import IntArray, Rows
 from lumisplat.renderer.scene.bvh_scene import SplatSets
@@ -22,12 +38,17 @@ from lumisplat.renderer.trace import (
     stochastic_hit_kernels,
     tile_trace_kernels,
 )
-from lumisplat.renderer.trace.ray_lists import RayLists
 from lumisplat.renderer.trace.tile_trace_kernels import SETS_ALL, SETS_CAPTURED, SETS_RELIT
-from lumisplat.renderer.trace.trace_settings import trace_table
 from lumisplat.renderer.trees.ray_order import RAY_ORDER_MODULES, ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.runtime.struct_tables import table_dtype
+
+_STRATEGIES = {
+    TraceStrategy.SORTED: STRATEGY_SORTED,
+    TraceStrategy.STOCHASTIC_HIT: STRATEGY_HIT,
+    TraceStrategy.STOCHASTIC_PASS: STRATEGY_PASS,
+}
 
 _SETS = {SplatSets.ALL: SETS_ALL, SplatSets.CAPTURED: SETS_CAPTURED, SplatSets.RELIT: SETS_RELIT}
 
@@ -35,6 +56,17 @@ _SETS = {SplatSets.ALL: SETS_ALL, SplatSets.CAPTURED: SETS_CAPTURED, SplatSets.R
 SEEN_RAYS = 0.25
 """Rays from one eye share the colours of Gaussians, evaluated once for all Gaussians of the scene, if there are at
 least this many rays per Gaussian. A ray into a capture blends 8 to 15 Gaussians, a ray beside it none."""
+
+
+@dataclass(frozen=True, slots=True)
+class RayLists:
+    """The Gaussians that the camera rays of each image tile may hit, in the structs that kernels read."""
+
+    lists: CandidateLists
+    scene: SceneBvh
+    """Instances, Gaussians and colours of the scene; has no BVH."""
+    ray_count: int
+    """Number of rays of all tiles, including those outside the image."""
 
 
 class GaussianTracer:
@@ -157,6 +189,26 @@ def trace_kernel_of(launcher: Launcher, *, stack: int = TRAVERSE_STACK_SMALL) ->
     if launcher.is_parallel:
         return gaussian_trace_kernels.gaussian_trace_kernel(1, stack)
     return gaussian_trace_kernels.gaussian_trace_kernel(PACKET_RAYS)
+
+
+def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
+    """Returns the tracer's settings as a table with one row, for kernels."""
+    row = table = np.zeros(1, dtype=table_dtype(TraceData))
+    is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
+    hit_buffer_size = HIT_BUFFER_CUDA if launcher.is_parallel else HIT_BUFFER_CPU
+    is_sorted = config.strategy is TraceStrategy.SORTED
+    row["strategy"] = _STRATEGIES[config.strategy]
+    row["hits_per_pass"] = config.hits_per_pass
+    row["hit_buffer_size"] = 1 if is_hit else hit_buffer_size
+    row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
+    # Ending early would bias a stochastic ray: it ends at a transmittance of 0 only.
+    row["transmittance_min"] = config.transmittance_min if is_sorted else 0.0
+    # A stochastic hit is a surface, whatever the threshold.
+    row["depth_iso_transmittance"] = 0.5 if is_hit else config.depth_iso_transmittance
+    row["acceptance_scale"] = config.acceptance_scale
+    row["sh_degree"] = config.sh_degree
+    row["offset"] = FAR
+    return table
 
 
 def packet_ranges(counts: IntArray, most: int) -> Iterator[tuple[int, int, int]]:

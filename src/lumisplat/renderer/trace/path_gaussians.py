@@ -14,8 +14,7 @@ from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace import path_gaussians_kernels as kernels
-from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
-from lumisplat.renderer.trace.ray_lists import RayLists
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, RayLists
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 

@@ -10,10 +10,9 @@ from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace import mesh_trace_kernels
-from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, RayLists
 from lumisplat.renderer.trace.path_gaussians import DarkenedCaptures, PathGaussians
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
-from lumisplat.renderer.trace.ray_lists import RayLists
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 

@@ -47,6 +47,12 @@ BLEND_STEP, BLEND_STEP_CUDA = 32, 16
 """Number of entries of a list after which final hits are blended, because loading and storing a pixel takes longer than
 blending a hit; half of the longest list of hits."""
 
+CANDIDATES_AHEAD = wp.constant(12)
+"""Number of entries between the one that is tested and the one whose candidate is prefetched."""
+
+PARTICLES_AHEAD = wp.constant(6)
+"""The same for particles, which only entries that are not skipped need."""
+
 SETS_ALL: int = wp.constant(0)
 
 SETS_CAPTURED: int = wp.constant(1)
@@ -126,8 +132,8 @@ def tile_trace_kernel(lanes: int) -> Any:
             k = int(begin)
             while k < end:
                 index = lists.items[k]
-                prefetch_candidate(lists.candidates, lists.items[wp.min(k + 12, end - 1)])
-                prefetch_particle(lists.particles, lists.items[wp.min(k + 6, end - 1)])
+                prefetch_candidate(lists.candidates, lists.items[wp.min(k + CANDIDATES_AHEAD, end - 1)])
+                prefetch_particle(lists.particles, lists.items[wp.min(k + PARTICLES_AHEAD, end - 1)])
                 load_candidate(lists.candidates, index, candidate)
                 k += 1
                 if k % STEP == 0 and nearest < candidate.floor and config.strategy != STRATEGY_HIT:
