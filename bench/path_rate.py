@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import warp as wp
@@ -24,6 +25,7 @@ from bench.page import CPU_PAGE, Origin, Row, table, write_region
 from bench.presets import BIKER, load_capture, synthetic
 from bench.timing import clock_of, parser, quiet_warp
 from lumisplat.demo import shapes
+from lumisplat.renderer.raster.ray_tiles import RayTiles
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 
 SIZE, SAMPLES, REPEATS = 256, 8, 6
@@ -233,10 +235,12 @@ def ray_costs(scene: ls.Scene, view: ls.Camera, device: str, clock: Callable[[],
 
 @contextlib.contextmanager
 def timed_rays(clock: Callable[[], float]) -> Generator[list[tuple[bool, float, int]]]:
-    """Yields a list that receives, for each wave of rays, whether they have bounced, seconds, and their number."""
+    """Yields a list that receives, for each wave of rays, whether they have bounced, seconds, and their number.
+
+    The lists of Gaussians by tiles count as a wave of camera rays without rays.
+    """
     rows: list[tuple[bool, float, int]] = []
-    patched: Any = RayTracer
-    find_hits = RayTracer.find_hits
+    find_hits, list_tiles = RayTracer.find_hits, RayTiles.list
 
     def timed(tracer: RayTracer, scene: Any, rays: Any, name: str, *, bounced: bool = False, **others: Any) -> Any:
         count = int(np.count_nonzero(rays.is_active.numpy()))  # waits for a GPU
@@ -246,11 +250,15 @@ def timed_rays(clock: Callable[[], float]) -> Generator[list[tuple[bool, float, 
         rows.append((bounced, clock() - begun, max(count, 1)))
         return hits
 
-    patched.find_hits = timed
-    try:
+    def timed_list(tiles: RayTiles, scene: Any) -> Any:
+        begun = clock()
+        lists = list_tiles(tiles, scene)
+        wp.synchronize()
+        rows.append((False, clock() - begun, 0))
+        return lists
+
+    with patch.object(RayTracer, "find_hits", timed), patch.object(RayTiles, "list", timed_list):
         yield rows
-    finally:
-        patched.find_hits = find_hits
 
 
 if __name__ == "__main__":

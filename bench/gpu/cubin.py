@@ -57,10 +57,10 @@ class Resources:
         """Returns how many warps a multiprocessor runs at once, and the most it could.
 
         Args:
-            architecture: Compute capability, such as 86.
+            architecture: Compute capability, such as 86; an unknown one counts as the next lower one that is known.
             threads: Threads per block.
         """
-        most_warps, most_blocks, shared_kib = LIMITS[architecture]
+        most_warps, most_blocks, shared_kib = LIMITS[max(known for known in LIMITS if known <= architecture)]
         warps = -(-threads // 32)
         # Registers are given to warps in units of 256.
         by_registers = REGISTERS // (-(-self.registers * 32 // 256) * 256) // warps

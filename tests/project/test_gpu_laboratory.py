@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -77,6 +78,23 @@ def test_every_step_of_the_gpu_laboratory_is_an_existing_function() -> None:
     for step in steps:
         module, function, *_ = step.work.split(":")
         assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_gpu_laboratory_needs_no_test_runner() -> None:
+    """The guide installs the package alone, without the extra ``dev``."""
+    modules = sorted({step.work.split(":")[0] for part in SLICES.values() for step in part})
+    code = (
+        f"import sys; sys.modules['pytest'] = None; import importlib; [importlib.import_module(m) for m in {modules}]"
+    )
+    paths = os.pathsep.join(str(ROOT / name) for name in ("", "src", "tests"))
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_gpu_laboratory_keeps_the_steps_of_earlier_runs_in_its_report(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from lumisplat.runtime import buffers
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
+from support.scenes.light_scenes import ball_at
 from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, camera, config, scene
 from support.scenes.raster_scenes import similarity
 
@@ -222,6 +223,29 @@ def test_graph_captured_with_little_glass_is_replaced_when_glass_fills_the_view(
     assert pair.launches_of(shown, near) == 0
     for view in (far, far, far, near, far):
         pair.launches_of(shown, view)
+
+
+def test_frame_that_fails_for_lack_of_memory_does_not_stop_later_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The failed frame, from within two balls of glass, counts more rays after two bounces than a later one follows."""
+    settings = config(ls.Pipeline.HYBRID, max_bounces=6, glossy_reflections=True)
+    glass = ls.MaterialPbr(roughness=0.0, transmission=1.0, ior=3.0)
+    balls = [ball_at((0.0, 0.0, 0.0), radius, glass) for radius in (0.5, 2.0)]
+    rough = [ball_at((3.0, 0.0, 0.0), 0.5, ls.MaterialPbr(roughness=0.5))]
+    renderer, shown = ls.Renderer(settings, GraphLauncher()), ls.Scene((), [*balls, *rough], LIGHTS)
+    far, within = (
+        ls.Camera.look_at((0.0, 0.0, z), (0.0, 0.0, z + 1.0), width=96, height=64, fov_y=0.8) for z in (-80.0, 0.0)
+    )
+    for _ in range(WARM_FRAMES):
+        renderer.render(shown, far)
+    with monkeypatch.context() as patched:
+
+        def refuse(*_: object) -> None:
+            raise ls.DeviceError("out of memory")
+
+        patched.setattr(Buffers, "_allocate", refuse)
+        with pytest.raises(ls.DeviceError, match="out of memory"):
+            renderer.render(shown, within)
+    assert renderer.render(replace(shown, meshes=rough), far).alpha.max() > 0.0
 
 
 def realtime_camera(number: int, distance: float = 2.1) -> ls.Camera:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from lumisplat.config import Projection, RasterStrategy, RenderConfig
 from lumisplat.config.pipelines import Integrator
 from lumisplat.device.structs.camera import ListedRays
-from lumisplat.errors import ConfigError
+from lumisplat.errors import ConfigError, DeviceError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import pinhole_of, redistorted
@@ -240,7 +240,7 @@ class Renderer:
             self._developed = None
             return redistorted(pinhole, camera)
         self._check(plan, scene, camera, resume)
-        self._begin(plan, scene, camera, progress, encodes=encode)
+        plan = self._begin(plan, scene, camera, progress, encodes=encode, stop=stop)
         if not plan.is_sampled:
             with self._launcher.stoppable(stop):
                 pixels = self._unlit_raster.draw(self._scene)
@@ -293,7 +293,7 @@ class Renderer:
         plan = self._plan_of(scene, camera)
         check_blocks(self.config, plan, camera)
         self._check(plan, scene, camera, None)
-        self._begin(plan, scene, camera, progress)
+        plan = self._begin(plan, scene, camera, progress)
         counts = BinningCounts()
         if part.accumulated:
             self._film.begin(self._scene, plan, part=part)
@@ -384,11 +384,21 @@ class Renderer:
         return counts, budget
 
     def _begin(
-        self, plan: FramePlan, scene: Scene, camera: Camera, progress: Progress | None, *, encodes: bool = False
-    ) -> None:
-        """Loads the kernels that a frame needs, and uploads what changed in the scene.
+        self,
+        plan: FramePlan,
+        scene: Scene,
+        camera: Camera,
+        progress: Progress | None,
+        *,
+        encodes: bool = False,
+        stop: Callable[[], bool] | None = None,
+    ) -> FramePlan:
+        """Loads the kernels that a frame needs, uploads what changed in the scene, and lists Gaussians by tiles.
 
-        ``encodes``: the frame is also encoded to 8 bits on the device.
+        ``encodes``: the frame is also encoded to 8 bits on the device. ``stop``: as for `render`.
+
+        Returns:
+            The plan; without lists if the device cannot hold them.
         """
         if self._loaded != (plan, encodes):
             self._load(self._modules(plan, encodes=encodes), progress)
@@ -398,9 +408,14 @@ class Renderer:
         if plan.is_unscented:
             self._unscented.begin_frame(camera)
         self._lists = None
-        if plan.lists_gaussians:
+        if plan.lists_gaussians and scene.gaussian_count > 0:
             self._ray_tiles.begin_frame(scene, camera, plan)
-            self._lists = self._ray_tiles.list(self._scene)
+            try:
+                with self._launcher.stoppable(None if plan.has_history else stop):
+                    self._lists = self._ray_tiles.list(self._scene)
+            except DeviceError:
+                return self._begin(replace(plan, lists_gaussians=False), scene, camera, progress, encodes=encodes)
+        return plan
 
     def _images(self, plan: FramePlan, camera: Camera, *, encodes: bool = False) -> dict[str, Any]:
         """Returns the finished frame's images by field name; on CUDA, functions that download images when called."""
@@ -520,7 +535,7 @@ class Renderer:
 
     def _plan_of(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
         """Returns the plan of a frame; ``camera`` is as for `FramePlan.with_lists`."""
-        return FramePlan.of(self.config, scene).with_lists(camera)
+        return FramePlan.of(self.config, scene).with_lists(scene, camera)
 
     def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         """Uploads what changed in the scene; drops cached lighting of earlier frames if the device's origin moved."""

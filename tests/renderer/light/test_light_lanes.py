@@ -89,6 +89,25 @@ def test_hard_lights_without_shadows_have_the_bits_of_single_rays(kind: str, com
     assert_same_frames(scene(*lights), front_camera(61, 43), config, unshadowed_light_kernels.add_hard_lights_tiles)
 
 
+ON_WALL = {
+    "point": ls.LightPoint((0.0, 0.0, 0.0)),
+    "spot": ls.LightSpot((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("light", list(ON_WALL.values()), ids=list(ON_WALL))
+def test_light_on_a_surface_does_not_darken_the_surface_point_under_it(light: ls.LightPoint | ls.LightSpot) -> None:
+    """The light has no direction there; other lights still light the point, as with single rays."""
+    middle = ls.Camera.look_at((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), width=31, height=21)
+    wall = parallelogram((-2.0, -2.0, 0.0), (4.0, 0.0, 0.0), (0.0, 4.0, 0.0), MATERIALS[0])
+    shown = ls.Scene((), [wall], [light, ls.LightDirectional((0.2, 0.1, 1.0))])
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, shadows=ls.Shadows.OFF, samples=1)
+    frame = ls.create_renderer(config, "cpu").render(shown, middle)
+    assert frame.stats is not None and frame.stats.nonfinite_count == 0
+    assert frame.color[10, 15].min() > 0.01
+    assert_same_frames(shown, middle, config, unshadowed_light_kernels.add_hard_lights_tiles)
+
+
 CAMERAS = {
     "pinhole": front_camera(83, 61),
     "window": front_camera(83, 61, window=(16, 32, 67, 29)),

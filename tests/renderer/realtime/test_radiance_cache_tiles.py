@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from lumisplat.config import RadianceCacheConfig
 from lumisplat.errors import ConfigError
+from lumisplat.runtime.downloads import HostCopy
 from lumisplat.runtime.launcher import Launcher
 from support.scenes.cache_rig import CacheRig, made_samples, on_floor
 
@@ -67,6 +69,33 @@ def test_full_radiance_cache_evicts_tiles_that_were_unused_for_longest_first(cap
     assert rig.statistics.evicted == 20
     left = rig.look_up(made_samples(tile_row(0, 64), radiance=0.0))[:, 0]
     assert left.tolist() == [1.0] * 4 + [0.0] * 20 + [1.0] * 40
+
+
+def test_reset_radiance_cache_does_not_warn_of_tiles_that_were_evicted_before(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on CUDA, copies to the host arrive at the end of a frame, or when the host waits."""
+    rig, arriving = CacheRig(tiles=64), list[partial[None]]()
+    update = HostCopy.update
+
+    def arrive(*_: object) -> None:
+        for copy in arriving:
+            copy()
+        arriving.clear()
+
+    monkeypatch.setattr(HostCopy, "update", lambda copy: arriving.append(partial(update, copy)))
+    monkeypatch.setattr(Launcher, "synchronize", arrive)
+    for frame in range(10):
+        rig.insert(made_samples(tile_row(10 * frame, 10), radiance=1.0), frame)
+        rig.evict(frame)
+        arrive()
+    assert len(caplog.records) == 1
+    rig.cache.reset()
+    for frame in range(3):
+        rig.insert(made_samples(tile_row(0, 4), radiance=1.0), frame)
+        rig.evict(frame)
+        arrive()
+    assert len(caplog.records) == 1
 
 
 @pytest.mark.parametrize("parallel", [False, True])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.renderer.raster import binning
 from support.compare.backends import renderer_of, without_lists
 from support.compare.images import assert_close
 from support.scenes.lenses import LENSES, large, layers, needle
@@ -143,3 +144,28 @@ def test_bvhs_are_built_only_for_rays_that_traverse_them() -> None:
     assert builds(traced, scene, replace(camera, model=ls.CameraModel.ORTHOGRAPHIC))
     lit = ls.Scene([ls.SplatInstance(around_the_eye(), material=ls.MaterialPbr())], lights=[ls.LightPoint((0, 2, 0))])
     assert builds(replace(traced, lighting=True, aovs=()), lit)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_rays_traverse_bvhs_if_the_lists_of_tiles_would_be_too_long(
+    monkeypatch: pytest.MonkeyPatch, backend: str
+) -> None:
+    """The frame is the one with lists, and later frames have lists again."""
+    fresh, scene, view = renderer_of(backend, settings()), ls.Scene([around_the_eye()]), VIEWS["pinhole"]
+    expected = fresh.render(scene, view)
+    with monkeypatch.context() as patched:
+        patched.setattr(binning, "ITEMS_MAX", 100)
+        frame = fresh.render(scene, view)
+        assert fresh._lists is None
+    assert_close(frame.color, expected.color, atol=4e-6)
+    fresh.render(scene, view)
+    assert fresh._lists is not None
+
+
+def test_scenes_of_many_instances_need_no_memory_for_each_instance_of_a_gaussian() -> None:
+    """Five instances of one set traverse its BVH; four are listed by tiles."""
+    asset, fresh = random_gaussians(70, 120), ls.create_renderer(settings(), "cpu")
+    for count in (4, 5):
+        splats = [ls.SplatInstance(asset, similarity((0, 1, 0), 0.1 * i, 1.0, (0.1 * i, 0, 0))) for i in range(count)]
+        fresh.render(ls.Scene(splats), VIEWS["pinhole"])
+        assert (fresh._lists is not None) == (count == 4)

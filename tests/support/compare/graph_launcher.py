@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any
+from unittest.mock import patch
 
-import pytest
 import warp as wp
 
 from lumisplat.runtime.buffers import Buffers
@@ -55,10 +55,12 @@ class GraphLauncher(Launcher):
 
         CUDA would refuse the first two. A graph would copy the last one again in each replay, from freed memory.
         """
-        with super()._recording(), pytest.MonkeyPatch.context() as patched:
-            patched.setattr(wp.array, "numpy", _refused("read back"))
-            patched.setattr(Buffers, "_allocate", _refused("allocated"))
-            patched.setattr(wp.array, "assign", _assigned_from_device)
+        with (
+            super()._recording(),
+            patch.object(wp.array, "numpy", _refused("read back")),
+            patch.object(Buffers, "_allocate", _refused("allocated")),
+            patch.object(wp.array, "assign", _assigned_from_device),
+        ):
             yield
 
 

@@ -173,11 +173,11 @@ def light_lanes(light: LightData, lanes: LitLanes):
             off_z = z + light.direction[2]
             share *= cone_share(light, off_x * off_x + off_y * off_y + off_z * off_z)
         share = attenuated(share, distance2, inverse, NEAREST2)
-        if distance2 < TINY:
-            share = 0.0
-        lanes.direction[0, lane] = x
-        lanes.direction[1, lane] = y
-        lanes.direction[2, lane] = z
+        touches = distance2 < TINY  # the direction is then undefined
+        share = wp.where(touches, 0.0, share)
+        lanes.direction[0, lane] = wp.where(touches, 0.0, x)
+        lanes.direction[1, lane] = wp.where(touches, 0.0, y)
+        lanes.direction[2, lane] = wp.where(touches, 1.0, z)
         for k in range(3):
             lanes.irradiance[k, lane] = wp.min(share * light.power[k], BRIGHTEST)
 

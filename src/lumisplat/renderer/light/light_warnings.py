@@ -47,7 +47,7 @@ class LightWarnings:
     def warn_of_media(self, plan: FramePlan, scene: Scene, buffers: Buffers, launcher: Launcher) -> None:
         """Warns if rays of the last sample left the inside of a mesh without having entered the mesh.
 
-        Waits for the device only in the first frame of the meshes; later frames may warn one frame late.
+        Waits for the device only in the first frame of the meshes; later frames may warn two frames late.
         """
         if not plan.has_media or self._has_warned_of_media:
             return

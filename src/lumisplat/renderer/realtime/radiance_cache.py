@@ -79,6 +79,8 @@ class RadianceCache:
     def reset(self) -> None:
         """Empties the cache; must be called before the first frame."""
         self._launcher.run_banded(kernels.clear_tiles, self._config.tiles, self.tiles)
+        self._counts.update()
+        self._launcher.synchronize()  # otherwise the next frame could warn of the tiles of an earlier sequence
         self._has_warned = False
 
     def outdate(self, sequence: DeviceArray) -> None:
@@ -259,7 +261,7 @@ class RadianceCache:
     def warn_of_overflow(self) -> None:
         """Warns once if the cache was full, so that tiles were evicted early or could not be added.
 
-        Does not wait for the device, whose last frame may be missing.
+        Does not wait for the device, whose last two frames may be missing.
         """
         if not self._has_warned:
             self._counts.update()

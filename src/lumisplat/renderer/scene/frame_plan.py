@@ -68,6 +68,11 @@ CAPTURED_LIGHT_DRAWS = 32
 samples. Directions cost little without shadow rays, so one sample per pixel suffices
 (docs/adr/0093-meshes-in-captures-are-placed-automatically.md)."""
 
+LISTED_REPEATS_MAX = 4
+"""Camera rays find Gaussians through lists of tiles if assets have at most so many instances on average, weighted by
+Gaussians. Each instance adds 130 bytes for each of its Gaussians to the lists, and with 50 instances a BVH is faster.
+"""
+
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
 """Images in ``aovs`` that unlit frames support as well as lit frames."""
 
@@ -319,14 +324,18 @@ class FramePlan:
             for_camera=True,
         )
 
-    def with_lists(self, camera: Camera | None) -> FramePlan:
+    def with_lists(self, scene: Scene, camera: Camera | None) -> FramePlan:
         """Returns the plan with lists of Gaussians by tiles for traced camera rays, if tiles can bound the rays.
 
         They cannot if rays start apart, through an aperture or in parallel, or if some pixels have more rays than
-        others. ``camera`` is the frame's; None: one that has lists.
+        others. Scenes of many instances have no lists, which contain each instance's Gaussians, as BVHs do not.
+        ``camera`` is the frame's; None: one that has lists.
         """
         starts_apart = camera is not None and (camera.aperture > 0.0 or camera.model is CameraModel.ORTHOGRAPHIC)
-        return replace(self, lists_gaussians=not (self.rasterises or self.adapts or starts_apart))
+        assets = {id(instance.gaussians): len(instance.gaussians) for instance in scene.splats}
+        listed = sum(len(instance.gaussians) for instance in scene.splats)
+        repeats = listed > LISTED_REPEATS_MAX * sum(assets.values())
+        return replace(self, lists_gaussians=not (self.rasterises or self.adapts or starts_apart or repeats))
 
     @classmethod
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:

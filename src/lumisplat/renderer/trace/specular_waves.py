@@ -55,6 +55,8 @@ class SpecularWaves:
 
     def number(self, wave: RayWave) -> None:
         """Assigns consecutive indices in the next wave to the reflected and refracted rays that leave a wave."""
+        if wave.number == 0:
+            self._counts.zero_()  # an earlier sample may have followed more waves
         prefix_sum(device_array(wave.row.branches), device_array(wave.row.branch_ends), inclusive=True)
 
     def capacity(self, wave: RayWave) -> int:
