@@ -4,8 +4,9 @@
 by a point light with hard shadows, and prints a table: seconds from the start to the address and to the first frame;
 milliseconds from a camera message to its frame while the camera moves in steps; the part of that outside of rendering;
 frames per second while the camera moves continuously, and their most common detail; and milliseconds from the last
-camera message of a motion to the first full frame, also as a multiple of that frame's own time. A frame of a moving
-view keeps the budget of 40 milliseconds. A whole number as CAPTURE stands for so many synthetic Gaussians.
+camera message of a motion to the first full frame, also as a multiple of that frame's own time, where the page says
+that the camera has stopped, and where it says nothing, as while a pointer holds it. A frame of a moving view keeps the
+budget of 40 milliseconds. A whole number as CAPTURE stands for so many synthetic Gaussians.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ ORBIT_S = 5.0
 STOPS = 9
 MOTION_S = 0.7
 """Duration of the motion before each stop, seconds."""
+SAID_S = 0.025
+"""Time from the last camera of a motion after which a browser's page says that the camera has stopped, seconds."""
 
 
 def main() -> None:
@@ -51,6 +54,7 @@ def main() -> None:
     print_head(
         *("", "address, s", "first frame, s", "median, ms", "best", "90 %", "outside of rendering"),
         *("frames per second", "Gaussians, pixels", "stop to full frame, ms", "full frames"),
+        *("unsaid stop, ms", "full frames"),
     )
     with tempfile.TemporaryDirectory() as folder:
         capture = Path(options.capture)
@@ -143,15 +147,21 @@ def measure(capture: Path, kind: str, device: str) -> tuple[str, ...]:
         orbit(page, cameras, ORBIT_S)
         rate = (len(page.pictures) - count) / (time.monotonic() - begun)
         detail, _ = Counter((f.gaussians, f.scale) for f in served.frames if f.done > begun).most_common(1)[0]
-        stops = [stopped(page, served, cameras) for _ in range(STOPS)]
+        stops = [stopped(page, served, cameras, is_said=number % 2 == 0) for number in range(2 * STOPS)]
     process.stdin.close()
     process.wait()
     middle, best, late = np.median(latencies), min(latencies), np.percentile(latencies, 90)
     return (
         *(f"{address_s:.2f}", f"{first_s:.2f}", f"**{middle:.0f}**", f"{best:.0f}", f"{late:.0f}"),
         *(f"{np.median(beside):.1f}", f"**{rate:.0f}**", f"{detail[0]:.0%}, {detail[1] ** 2:.0%}"),
-        *(f"**{np.median([waited for waited, _ in stops]):.0f}**", f"{np.median([share for _, share in stops]):.2f}"),
+        *(text for each in (stops[::2], stops[1::2]) for text in stop_columns(each)),
     )
+
+
+def stop_columns(stops: list[tuple[float, float]]) -> tuple[str, str]:
+    """Returns the medians of the two figures of `stopped`."""
+    waited, share = np.median(stops, axis=0)
+    return f"**{waited:.0f}**", f"{share:.2f}"
 
 
 def orbit(page: PageClient, cameras: list[ls.Camera], seconds: float) -> float:
@@ -164,9 +174,19 @@ def orbit(page: PageClient, cameras: list[ls.Camera], seconds: float) -> float:
     return sent
 
 
-def stopped(page: PageClient, served: Served, cameras: list[ls.Camera]) -> tuple[float, float]:
-    """Returns milliseconds from the end of a motion to the arrival of the first full frame, and that in full frames."""
+def stopped(page: PageClient, served: Served, cameras: list[ls.Camera], *, is_said: bool) -> tuple[float, float]:
+    """Returns milliseconds from the end of a motion to the arrival of the first full frame, and that in full frames.
+
+    Args:
+        page: Client that moves the camera.
+        served: Frames of the viewer.
+        cameras: Cameras of the motion.
+        is_said: Whether the client says that the camera has stopped, `SAID_S` after the last camera, as a browser does.
+    """
     sent = orbit(page, cameras, MOTION_S)
+    if is_said:
+        time.sleep(max(sent + SAID_S - time.monotonic(), 0.0))
+        page.stop()
     time.sleep(3.0)
     full = next(frame for frame in served.frames if frame.scale == 0.0 and frame.done > sent)
     arrived = next(at for at, _ in page.pictures if at > full.done - 0.001)

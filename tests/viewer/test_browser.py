@@ -333,3 +333,27 @@ def test_clicking_the_thumbnail_of_a_key_view_moves_the_pages_camera_there(brows
     np.testing.assert_allclose(up, viewer.scene.up_direction, atol=1e-6)
     page.close()
     other.close()
+
+
+def test_page_says_that_its_camera_has_stopped_once_the_pointer_is_released(browser: Any, viewer: ls.Viewer) -> None:
+    """A pointer that rests while it holds the camera says nothing; a camera that the wheel or a key moved says it."""
+    page = open_page(browser, viewer)
+    (moved,) = viewer._pages.values()
+    start = moved.pose
+    page.mouse.move(200, 420)
+    page.mouse.down()
+    page.mouse.move(260, 420, steps=6)
+    until(lambda: moved.pose != start, page)
+    page.wait_for_timeout(300)
+    assert not moved._has_stopped
+    page.mouse.move(300, 420, steps=6)
+    page.mouse.up()
+    until(lambda: moved._has_stopped, page)
+    for move in (lambda: page.mouse.wheel(0, 200), lambda: page.keyboard.press("d", delay=100)):
+        number = moved.pose_number
+        move()
+        until(lambda number=number: moved.pose_number > number and moved._has_stopped, page)
+        last = moved.pose_number
+        page.wait_for_timeout(300)
+        assert moved.pose_number == last and moved._has_stopped
+    page.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -27,7 +28,14 @@ from lumisplat.viewer.frames.scene_builder import Levels
 from lumisplat.viewer.overlays import box_outline, draw_outlines, light_outline
 from lumisplat.viewer.picking import picked
 from lumisplat.viewer.scene_extent import Extent, world_corners
-from lumisplat.viewer.thresholds import DEPTH_STRIDE, GAP_DECAY, LEVEL_GAUSSIANS_MIN, SETTLED_GAPS, SETTLED_S
+from lumisplat.viewer.thresholds import (
+    DEPTH_STRIDE,
+    DIRECT_MS,
+    GAP_DECAY,
+    LEVEL_GAUSSIANS_MIN,
+    SETTLED_GAPS,
+    SETTLED_S,
+)
 
 FACING = ls.Camera.look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=90)
 
@@ -123,6 +131,24 @@ def test_camera_counts_as_stopped_after_twice_the_usual_gap_between_its_messages
     assert wait_after([0.1]) == pytest.approx(SETTLED_GAPS * 0.1)
     assert wait_after([0.02]) == pytest.approx(SETTLED_GAPS * GAP_DECAY * 0.1)
     assert wait_after([60.0]) == pytest.approx(SETTLED_GAPS * SETTLED_S)
+    page.close()
+
+
+def test_next_frame_of_a_view_is_full_where_its_camera_is_said_to_have_stopped_and_full_frames_are_fast() -> None:
+    """The camera counts as stopped until it moves again; changes of the scene are shown by reduced frames first."""
+    page = Page(NoScreen(), threading.Condition())
+    poses = itertools.cycle([Pose((x, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 1.0, 1.5, 1.0) for x in (0.0, 1.0)])
+    page.set_pose(next(poses))
+    page.key, page.full_ms = (7, 0), DIRECT_MS
+    assert not page.skips_reduced(7)
+    page.stop()
+    assert page.skips_reduced(7) and page.stops_at <= time.monotonic()
+    assert not page.skips_reduced(8)
+    page.full_ms = DIRECT_MS + 1.0
+    assert not page.skips_reduced(7)
+    page.full_ms = DIRECT_MS
+    page.set_pose(next(poses))
+    assert not page.skips_reduced(7) and page.stops_at > time.monotonic() + 2.0 * SETTLED_S
     page.close()
 
 

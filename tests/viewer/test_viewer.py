@@ -6,11 +6,12 @@ import asyncio
 import gc
 import itertools
 import logging
+import math
 import shlex
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -142,6 +143,43 @@ def test_viewer_pages_have_independent_cameras(viewer: ls.Viewer) -> None:
         right.look(camera(1.0))
         settled(viewer, right)
         np.testing.assert_array_equal(left.picture(), before)
+
+
+def held(begun: threading.Event, ends: threading.Event) -> Generator[None]:
+    """Holds the render thread until ``ends`` is set."""
+    begun.set()
+    ends.wait()
+    yield
+
+
+@pytest.mark.parametrize("is_fast", [False, True])
+def test_viewer_renders_in_full_at_once_after_a_page_has_said_that_its_camera_stopped(
+    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch, is_fast: bool
+) -> None:
+    """No silence of the camera is waited for; a fast full frame comes without a reduced one before."""
+    steps: list[Any] = []
+    shown = viewer._loop._on_frame
+    viewer._loop._on_frame = lambda page, step, took: (steps.append(step), shown(page, step, took))[1]
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        before = settled(viewer, page)
+        monkeypatch.setattr("lumisplat.viewer.frames.loop.SETTLED_S", math.inf)
+        monkeypatch.setattr("lumisplat.viewer.frames.page.SETTLED_GAPS", math.inf)
+        monkeypatch.setattr("lumisplat.viewer.frames.page.DIRECT_MS", math.inf if is_fast else 0.0)
+        steps.clear()
+        begun, ends = threading.Event(), threading.Event()
+        viewer._loop.run_in_background(held(begun, ends))
+        begun.wait()
+        page.look(camera(0.5))
+        page.stop()
+        (stopped,) = viewer._pages.values()
+        eventually(lambda: stopped._has_stopped, "no stop arrived")
+        ends.set()  # the render thread sees the camera and its stop together
+        after = settled(viewer, page)
+    assert difference(before, after) > 0.5 and steps
+    assert [step is None for step in steps] == ([] if is_fast else [False]) + [True] * 4
+    expected = ls.render(lit_scene(), camera(0.5), viewer._session.state.config, device="cpu").pixels_srgb()
+    assert ls.metrics.psnr((after / 255.0).astype(np.float32), expected) > 35.0
 
 
 def test_click_in_the_image_selects_the_visible_object(viewer: ls.Viewer) -> None:

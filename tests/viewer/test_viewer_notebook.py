@@ -207,6 +207,7 @@ def test_dragging_back_in_a_notebook_cell_restores_the_view_before_the_drag(view
     notebook.drag(90.0, 40.0)
     turned = settled(viewer, notebook)
     assert difference(before, turned) > 2.0
+    assert viewer._notebook._cell.page._has_stopped  # pyright: ignore[reportOptionalMemberAccess]
     assert ls.metrics.psnr(turned / 255.0, expected(viewer, lit_scene()) / 255.0) > 35.0
     notebook.drag(-90.0, -40.0)
     assert difference(before, settled(viewer, notebook)) < 1.0

@@ -370,6 +370,8 @@ class Cell:
     def _on_pointer(self, event: dict[str, Any]) -> None:
         click = self._pointer.handle(event)
         self._look()
+        if event["type"] == "pointer_up":
+            self.page.stop()
         if click is None or self.page.frame is None:
             return
         seen = select(self._session, self.page.frame, *click, is_level=not self.page.frames_at_rest)

@@ -12,11 +12,16 @@ seconds. Shorter times would make full and reduced frames alternate when the sce
 """
 
 SETTLED_GAPS = 3.0
-"""A camera that has sent no message for this many times the usual gap between messages of its motion has stopped."""
+"""A camera that has sent no message for this many times the usual gap between messages of its motion has stopped, also
+if its page has not said so."""
 
 GAP_DECAY = 0.9
 """Factor per message on the largest recent gap between two messages of a camera, so that the gaps before a motion are
 forgotten within two dozen messages."""
+
+DIRECT_MS = 150.0
+"""Longest time of a full frame for which a camera that its page says has stopped gets no reduced frame before,
+milliseconds."""
 
 INTERRUPT_S = 0.5
 """Interval at which the main thread wakes to handle Ctrl+C, seconds; the longest delay until the viewer ends."""

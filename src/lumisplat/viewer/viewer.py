@@ -332,6 +332,7 @@ class Viewer:
         if client.camera.aspect < ASPECT and _is_at(client, self._viser.initial_camera.position):
             self._fit_scene(client)
         client.camera.on_update(lambda _: self._look(client))
+        self._server.on_camera_stopped(client, lambda: self._stop(client, page))
         client.scene.on_click()(lambda event: self._pick(page, event))
         self._look(client)
         self._loop.add(page)
@@ -344,6 +345,11 @@ class Viewer:
             page.set_pose(now)
             if before is not None and before.aspect != now.aspect and self._fits_scene(page, now):
                 self._fit_scene(client)
+
+    def _stop(self, client: viser.ClientHandle, page: Page) -> None:
+        """Ends the motion of a page's camera, whose last pose may still wait for a thread."""
+        self._look(client)
+        page.stop()
 
     def _close_page(self, client: viser.ClientHandle) -> None:
         page = self._pages.pop(client.client_id, None)

@@ -82,6 +82,10 @@ class PageClient:
             up_direction=[0.0, -1.0, 0.0],
         )
 
+    def stop(self) -> None:
+        """Says that the camera stays where it was sent last."""
+        self.send("CameraStoppedMessage")
+
     def picture(self, after: int = 0, timeout: float = 300.0) -> np.ndarray:
         """Waits for more than ``after`` frames, and returns the latest, (H, W, 3) uint8."""
         with self._arrived:

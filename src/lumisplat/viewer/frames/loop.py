@@ -141,7 +141,8 @@ class _Job:
     """Earlier state that option *compare* shows on the left side of the image."""
     options: Options
     moves: bool
-    """True if camera or scene have changed since the last frame; False to add a sample to a still view."""
+    """True if camera or scene have changed since the last frame, which a reduced frame shows soonest; False for a full
+    frame, or another sample of it."""
 
 
 class RenderLoop:
@@ -346,7 +347,7 @@ class RenderLoop:
             if page.key != key:
                 if page.takes_frames:
                     self._move_to_back(page)
-                    return self._job(page, key, moves=True)
+                    return self._job(page, key, moves=not page.skips_reduced(key[0]))
             elif not page.is_finished and resting is None and now >= page.rests_at:
                 resting = page
         if resting is None:
@@ -442,19 +443,22 @@ class RenderLoop:
         page, state, options = job.page, job.state, job.options
         started = time.perf_counter()
         config = frame_config(state.config, options.view)
-        in_sequence = config.pipeline.is_sequence
+        in_sequence, content = config.pipeline.is_sequence, _frame_inputs(job, config)
+        with self._session.changed:
+            if page.key != job.key:  # the page has said that its camera has stopped
+                page.key, page.is_finished, page.rests_at = job.key, False, time.monotonic()
         renderer = self._renderers.of(page if in_sequence else _AT_REST, config)
         camera = job.pose.camera(options.height, state.exposure)
-        resume = page.frame if page.frames_at_rest and not in_sequence else None
+        is_first = not page.frames_at_rest or page.content is None or not _has_same_inputs(page.content, content)
         frame = renderer.render(
             self.scenes.of(state.document, config, options.time, 0, waits=True),
             camera,
-            resume=resume,
+            resume=None if is_first or in_sequence else page.frame,
             encode=options.view == "color",
             progress=None if in_sequence else _ignore,
             stop=self.must_yield,
         )
-        frame_count, noise = page.frames_at_rest + 1, page.noise
+        frame_count, noise = (1, None) if is_first else (page.frames_at_rest + 1, page.noise)
         if frame.stats is not None and frame.stats.noise is not None:
             noise = frame.stats.noise
         is_finished = _is_finished(frame, frame_count, noise, state.config)
@@ -462,12 +466,13 @@ class RenderLoop:
         if page.takes_frames or is_finished:
             depth = page_depth(frame, self._session.extent.page_from_scene)
             shown = ScreenImage(self._picture(job, frame, level=0), JPEG_QUALITY_AT_REST, depth)
+        page.full_ms = 1e3 * (time.perf_counter() - started)
         with self._session.changed:
             page.frame, page.frames_at_rest, page.noise, page.is_finished = frame, frame_count, noise, is_finished
-            page.content = _frame_inputs(job, config)
+            page.content = content
         if shown is not None:
             page.show(shown)
-        self._on_frame(page, None, 1e3 * (time.perf_counter() - started))
+        self._on_frame(page, None, page.full_ms)
 
     def _picture(self, job: _Job, frame: ls.Frame, level: int) -> Picture:
         """Converts a frame to an sRGB image; adds the *compare* side and the overlays that the view options select."""

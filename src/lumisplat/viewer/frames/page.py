@@ -20,6 +20,7 @@ from lumisplat.viewer.thresholds import (
     DETAIL_HEADROOM,
     DETAIL_HOLD_FRAMES,
     DETAIL_TIME_DECAY,
+    DIRECT_MS,
     GAP_DECAY,
     LEVEL_FRACTIONS,
     MOVING_GAUSSIANS_MAX,
@@ -204,6 +205,10 @@ class Page:
         """Time of the last change of ``pose``, seconds of the monotonic clock."""
         self._pose_gap = SETTLED_S
         """Largest recent time between two changes of ``pose``, at most `SETTLED_S`, seconds."""
+        self._has_stopped = False
+        """True if the page has said that its camera has stopped, and ``pose`` has not changed since."""
+        self.full_ms = math.inf
+        """Time of the page's last full frame, milliseconds; infinite before the first."""
         self.key: tuple[int, int] | None = None
         """`Session.revision` and the page's ``pose_number`` for the last frame, rendered or failed; a different pair
         means that a new frame is due. None before the first frame."""
@@ -234,14 +239,30 @@ class Page:
             if pose != self.pose:
                 now = time.monotonic()
                 self._pose_gap = min(max(now - self._pose_at, GAP_DECAY * self._pose_gap), SETTLED_S)
-                self.pose, self._pose_at = pose, now
+                self.pose, self._pose_at, self._has_stopped = pose, now, False
                 self.pose_number += 1
                 self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Ends the camera's motion, so that the page's next frame is a full one; a new pose begins another motion."""
+        with self._changed:
+            self._has_stopped = True
+            self.rests_at = min(self.rests_at, self.stops_at)
+            self._changed.notify_all()
 
     @property
     def stops_at(self) -> float:
         """Time from which the camera counts as stopped unless it moves before, seconds of the monotonic clock."""
-        return self._pose_at + SETTLED_GAPS * self._pose_gap
+        return self._pose_at + (0.0 if self._has_stopped else SETTLED_GAPS * self._pose_gap)
+
+    def skips_reduced(self, revision: int) -> bool:
+        """True if the next frame of a changed view is a full one: the camera has stopped, and full frames are fast.
+
+        Args:
+            revision: `Session.revision`; if it is not that of the last frame, the scene has changed, too.
+        """
+        only_camera_moved = self.key is not None and self.key[0] == revision
+        return only_camera_moved and self._has_stopped and self.full_ms <= DIRECT_MS
 
     @property
     def takes_frames(self) -> bool:

@@ -108,6 +108,7 @@ _log = logging.getLogger("lumisplat.pages")
 _KINDS = frozenset(
     {
         "ViewerCameraMessage",
+        "CameraStoppedMessage",
         "GuiUpdateMessage",
         "GuiFormSubmitMessage",
         "GuiFormDirtyMessage",

@@ -39,6 +39,7 @@ def import_viser() -> Any:
     except ImportError:
         raise ls.errors.MissingExtraError("the viewer", "view") from None
     make_message_buffers_thread_safe()
+    camera_stopped_message()  # before viser lists the types of messages, when the first one arrives
     return viser
 
 
@@ -77,6 +78,15 @@ class PageServer:
     def set_theme(self, *, dark: bool) -> None:
         """Sets the dark or light theme on all pages."""
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
+
+    def on_camera_stopped(self, client: viser.ClientHandle, act: Callable[[], object]) -> None:
+        """Calls ``act`` whenever a page says that its camera has stopped; in the server's event loop, so be brief."""
+        connection: Any = client._websock_connection  # pyright: ignore[reportPrivateUsage]
+
+        def handle(*_: object) -> None:
+            act()
+
+        connection.register_handler(camera_stopped_message(), handle)
 
     def close(self) -> None:
         """Closes the port and all connections; events of pages that wait in the queue are dropped silently."""
@@ -273,11 +283,28 @@ function measure(name, pixels) {
   const style = document.documentElement.style;
   if (style.getPropertyValue(name) !== `${pixels}px`) style.setProperty(name, `${pixels}px`);
 }
+// Says when the camera has stopped: no pointer holds it, and viser, which waits up to 20 ms, has sent its last pose.
+let watched = null;
+function watchCamera() {
+  const controls = window.__viserMutable && window.__viserMutable.cameraControl;
+  if (!controls || controls === watched) return;
+  watched = controls;
+  let moves = false, movedAt = 0, timer = 0;
+  const end = () => {
+    clearTimeout(timer);
+    timer = setTimeout(() => {
+      if (!moves && !controls.currentAction) window.__viserMutable.sendMessage({type: 'CameraStoppedMessage'});
+    }, movedAt + 25 - performance.now());
+  };
+  controls.addEventListener('update', () => { moves = true; movedAt = performance.now(); });
+  controls.addEventListener('sleep', () => { moves = false; end(); });
+  controls.addEventListener('controlend', end);
+}
 let waits = false;
 new MutationObserver(() => {
   if (waits) return;
   waits = true;
-  setTimeout(() => { waits = false; arrange(); }, 60);
+  setTimeout(() => { waits = false; arrange(); watchCamera(); }, 60);
 }).observe(document, {subtree: true, childList: true, attributes: true, attributeFilter: ['style', 'class']});
 addEventListener('resize', arrange);
 """
@@ -295,6 +322,14 @@ def with_additions(body: bytes, *, is_packed: bool) -> bytes:
     head = f"<title>{TITLE}</title><style>{_STYLE}</style><script>{_SCRIPT}</script>"
     page = page.replace(b"<title>Viser</title>", head.encode(), 1)
     return gzip.compress(page) if is_packed else page
+
+
+@cache
+def camera_stopped_message() -> Any:
+    """Returns the type of a page's message, without fields, that the camera which it sent last is where it stays."""
+    base: Any = import_module("viser._messages").Message
+    flags = {"include_in_scene_serialization": False}
+    return make_dataclass("CameraStoppedMessage", [], bases=(base,), namespace=flags)
 
 
 class AnyThreadEvent(asyncio.Event):
