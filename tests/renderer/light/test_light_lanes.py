@@ -15,8 +15,8 @@ from support.scenes.light_scenes import ball_at, metal, parallelogram
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 SINGLE = {
-    camera_ray_kernels.start_rays_tiles: camera_ray_kernels.start_rays,
-    unshadowed_light_kernels.add_hard_lights_tiles: unshadowed_light_kernels.add_hard_lights,
+    camera_ray_kernels.start_rays_lanes: camera_ray_kernels.start_rays,
+    unshadowed_light_kernels.add_hard_lights_lanes: unshadowed_light_kernels.add_hard_lights,
 }
 """Kernels that compute one ray at a time, by those that compute 16 at a time."""
 
@@ -35,7 +35,7 @@ class SingleRays(Launcher):
             self._count = count
         if kernel in SINGLE:
             self.replaced.add(kernel)
-            count = len(inputs[-1].t_max) if kernel is camera_ray_kernels.start_rays_tiles else self._count
+            count = len(inputs[-1].t_max) if kernel is camera_ray_kernels.start_rays_lanes else self._count
         super().run_banded(SINGLE.get(kernel, kernel), count, *inputs, bands=bands)
 
 
@@ -86,7 +86,7 @@ def test_hard_lights_without_shadows_have_the_bits_of_single_rays(kind: str, com
     config = ls.RenderConfig(
         pipeline=ls.Pipeline.HYBRID, shadows=ls.Shadows.OFF, lighting=True, energy_compensation=compensates, samples=1
     )
-    assert_same_frames(scene(*lights), front_camera(61, 43), config, unshadowed_light_kernels.add_hard_lights_tiles)
+    assert_same_frames(scene(*lights), front_camera(61, 43), config, unshadowed_light_kernels.add_hard_lights_lanes)
 
 
 ON_WALL = {
@@ -121,4 +121,4 @@ CAMERAS = {
 def test_camera_rays_have_the_bits_of_single_rays(camera: ls.Camera) -> None:
     """Frames of two jittered samples are equal in colour and depth with rays from both kernels."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2, jitter=True, shadows=ls.Shadows.SOFT)
-    assert_same_frames(scene(LIGHTS["disk"]), camera, config, camera_ray_kernels.start_rays_tiles)
+    assert_same_frames(scene(LIGHTS["disk"]), camera, config, camera_ray_kernels.start_rays_lanes)

@@ -32,7 +32,7 @@ class DirectLight:
         """Returns the kernel modules that direct light needs in a frame."""
         modules: list[KernelModule] = []
         if plan.has_unshadowed and not self._launcher.is_parallel:
-            modules += [unshadowed_light_kernels.TILES]
+            modules += [unshadowed_light_kernels.BY_LANES]
         if plan.samples_unshadowed or (plan.has_unshadowed and self._launcher.is_parallel):
             modules += [unshadowed_light_kernels]
         if plan.casts_shadows or "lights" in plan.aovs:
@@ -85,7 +85,7 @@ class DirectLight:
                 self._launcher.run_banded(unshadowed_light_kernels.add_hard_lights, wave.count, *inputs)
             else:
                 count = -(-wave.count // PACKET_RAYS)
-                self._launcher.run_banded(unshadowed_light_kernels.add_hard_lights_tiles, count, *inputs, bands=bands)
+                self._launcher.run_banded(unshadowed_light_kernels.add_hard_lights_lanes, count, *inputs, bands=bands)
         if len(lights) > analytic or (soft and analytic):
             self._launcher.run_banded(
                 unshadowed_light_kernels.add_sampled_lights,

@@ -101,13 +101,13 @@ def add_sampled_lights(
             )
 
 
-TILES = wp.get_module(f"{__name__}.tiles")
+BY_LANES = wp.get_module(f"{__name__}.lanes")
 # Loops over lanes must stay loops for the vectoriser.
-wp.set_module_options(SHADE_OPTIONS | {"max_unroll": 4}, TILES)
+wp.set_module_options(SHADE_OPTIONS | {"max_unroll": 4}, BY_LANES)
 
 
-@wp.kernel(module=TILES)
-def add_hard_lights_tiles(
+@wp.kernel(module=BY_LANES)
+def add_hard_lights_lanes(
     start: int,
     no_shadows: bool,
     scene: wp.array[ShadingScene],

@@ -98,13 +98,13 @@ def load_rays(
     rays_out.sample[i] = sample.index
 
 
-TILES = wp.get_module(f"{__name__}.tiles")
+BY_LANES = wp.get_module(f"{__name__}.lanes")
 # The loop over lanes must stay a loop for the vectoriser.
-wp.set_module_options({"enable_backward": False, "max_unroll": 4}, TILES)
+wp.set_module_options({"enable_backward": False, "max_unroll": 4}, BY_LANES)
 
 
-@wp.kernel(module=TILES)
-def start_rays_tiles(
+@wp.kernel(module=BY_LANES)
+def start_rays_lanes(
     start: int,
     cameras: wp.array[CameraData],
     samples: wp.array[SampleData],

@@ -24,7 +24,7 @@ class CameraRays:
 
     def modules(self) -> list[KernelModule]:
         """Returns the modules of the kernels that this class launches."""
-        return [kernels if self._launcher.is_parallel else kernels.TILES]
+        return [kernels if self._launcher.is_parallel else kernels.BY_LANES]
 
     def start(self, scene: DeviceScene, listed: ListedRays | None = None, *, of_splats: bool = False) -> RayData:
         """Returns the rays of the scene's current sample, in square blocks of pixels.
@@ -42,7 +42,7 @@ class CameraRays:
             if self._launcher.is_parallel:
                 self._launcher.run_banded(kernels.start_rays, count, *inputs, rays)
             else:
-                self._launcher.run_banded(kernels.start_rays_tiles, -(-count // PACKET_RAYS), *inputs, rays)
+                self._launcher.run_banded(kernels.start_rays_lanes, -(-count // PACKET_RAYS), *inputs, rays)
         return rays
 
 
