@@ -95,13 +95,13 @@ def lit_row(preset, path: Path, device: str) -> dict:
     from bench.timing import TimedRenderer, medians
 
     demo, view = stored_demo(path), lit_camera()
-    turns = {part: (TimedRenderer(part.config(), device), part.scene(demo)) for part in (BASE, preset)}
-    walls: dict = {part: [] for part in turns}
+    renderers = {part: (TimedRenderer(part.config(), device), part.scene(demo)) for part in (BASE, preset)}
+    walls: dict = {part: [] for part in renderers}
     stages = []
-    for turn in range(LIT_REPEATS + 1):
-        for part, (renderer, scene) in turns.items():
+    for repeat in range(LIT_REPEATS + 1):
+        for part, (renderer, scene) in renderers.items():
             timed = renderer.render(scene, view)
-            if turn > 0:  # the first frames upload, build BVHs and allocate
+            if repeat > 0:  # the first frames upload, build BVHs and allocate
                 walls[part].append(timed.wall_ms)
                 if part == preset:
                     stages.append(timed.stage_ms)

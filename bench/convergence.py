@@ -74,11 +74,11 @@ def tree_seconds(device: str) -> dict[str, float]:
     def build(name: str, capture: ls.Gaussians) -> None:
         times[name].append(stage_ms(renderer.render(ls.Scene(splats=[capture]), camera))["build"])
 
-    for turn in range(3):
+    for repeat in range(3):
         # Another size, so that the next set counts as new and not as moved.
-        renderer.render(ls.Scene(splats=[gaussians.subset(np.arange(TREE_COUNT - turn - 1))]), camera)
+        renderer.render(ls.Scene(splats=[gaussians.subset(np.arange(TREE_COUNT - repeat - 1))]), camera)
         build("build_s", gaussians)
-        build("refit_s", replace(gaussians, means=gaussians.means * np.float32(1.0 + 0.01 * turn) + np.float32(0.01)))
+        build("refit_s", replace(gaussians, means=gaussians.means * np.float32(1.0 + 0.01 * repeat) + np.float32(0.01)))
         steps = random.standard_normal((TREE_COUNT, 3), dtype=np.float32)
         apart = gaussians.means + 0.5 * gaussians.scales.mean(axis=1, keepdims=True) * steps
         build("strew_s", replace(gaussians, means=apart))
@@ -111,10 +111,10 @@ def shadow_row(scene: ls.Scene, camera: ls.Camera, count: int, *, device: str) -
         decibels[str(samples)] = float(-10.0 * np.log10(np.mean(np.square(error))))
     renderers = {method: TimedRenderer(shadow_config(method, TIMED), device) for method in (exact_method, stochastic)}
     times: dict = {method: [] for method in renderers}
-    for turn in range(REPEATS + 1):
+    for repeat in range(REPEATS + 1):
         for method, renderer in renderers.items():
             stage = renderer.render(scene, camera).stage_ms["shadow"]
-            if turn > 0:
+            if repeat > 0:
                 times[method].append(stage / TIMED)
     return {"psnr_db": decibels, "sample_ms": {method.value: median(row) for method, row in times.items()}}
 

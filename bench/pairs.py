@@ -71,10 +71,10 @@ def times_of(preset: str, checkouts: tuple[Checkout, Checkout]) -> list[tuple[fl
     for checkout in checkouts:
         checkout.ask(preset)
     pairs: list[tuple[float, float]] = []
-    for turn in range(PAIRS):
-        first, second = checkouts if turn % 2 == 0 else checkouts[::-1]
+    for number in range(PAIRS):
+        first, second = checkouts if number % 2 == 0 else checkouts[::-1]
         one, other = first.ask("frame"), second.ask("frame")
-        pairs.append((one, other) if turn % 2 == 0 else (other, one))
+        pairs.append((one, other) if number % 2 == 0 else (other, one))
     return pairs
 
 

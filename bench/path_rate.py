@@ -169,12 +169,12 @@ def frames_of(scene: ls.Scene, view: ls.Camera, device: str) -> Callable[[], Non
 
 def least_times(clock: Callable[[], float], ours: Callable[[], None], peer: Callable[[], None] | None) -> list[float]:
     """Returns the smallest time of a frame of each renderer, seconds; frames alternate after a warm-up."""
-    turns = [ours] + ([peer] if peer else [])
-    least = [float("inf")] * len(turns)
-    for render in turns:
+    renders = [ours] + ([peer] if peer else [])
+    least = [float("inf")] * len(renders)
+    for render in renders:
         render()
     for _ in range(REPEATS):
-        for number, render in enumerate(turns):
+        for number, render in enumerate(renders):
             begun = clock()
             render()
             least[number] = min(least[number], clock() - begun)

@@ -1,4 +1,4 @@
-"""Steps of `bench.gpu` beside gsplat's rasteriser, with frames of both in turns."""
+"""Steps of `bench.gpu` beside gsplat's rasteriser, with alternating frames of both."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def frames(setting: Setting) -> Iterator[Finding]:
         yield Finding("skipped", found)
         return
     for count in setting.sizes:
-        yield from turns(setting, count, *found)
+        yield from compare_frames(setting, count, *found)
 
 
 def gradients(setting: Setting) -> Iterator[Finding]:
@@ -51,10 +51,10 @@ def gradients(setting: Setting) -> Iterator[Finding]:
         yield Finding("skipped", found)
         return
     for count in (100_000, *setting.sizes[:1]):
-        yield from gradient_turns(setting, count, *found)
+        yield from compare_gradients(setting, count, *found)
 
 
-def turns(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iterator[Finding]:
+def compare_frames(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iterator[Finding]:
     """Times one set with both renderers, alternating.
 
     Args:
@@ -123,7 +123,7 @@ def columns(gaussians: ls.Gaussians) -> dict[str, np.ndarray]:
     }
 
 
-def gradient_turns(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iterator[Finding]:
+def compare_gradients(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iterator[Finding]:
     """Times one set with both renderers."""
     gaussians, camera = synthetic(count), view(setting, count)
     pixel_weights = np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)).astype(np.float32)

@@ -182,10 +182,10 @@ def moving_sets(setting: Setting) -> Iterator[Finding]:
     for pipeline in ls.Pipeline:
         config = ls.RenderConfig(pipeline=pipeline)
         renderer, sequence = device_renderer(setting, config), ls.create_renderer(config, "cpu")
-        for turn, size in enumerate((1.0, 1.05, 6.0, 0.5)):
+        for number, size in enumerate((1.0, 1.05, 6.0, 0.5)):
             moved = dataclasses.replace(
                 gaussians,
-                means=gaussians.means + np.float32(0.02 * turn),
+                means=gaussians.means + np.float32(0.02 * number),
                 scales=gaussians.scales * np.float32(size),
             )
             scene, camera = ls.Scene(splats=[moved]), raster_scenes.front_camera()
@@ -194,8 +194,8 @@ def moving_sets(setting: Setting) -> Iterator[Finding]:
             expected = sequence.render(scene, camera)
             for layer, mean, near in differences(renderer.render(scene, camera), expected):
                 if near > MOST_APART or mean > MEAN_APART:
-                    yield Finding(f"{pipeline.value}, turn {turn}, {layer}", [mean, near], is_wrong=True)
-        yield Finding(f"{pipeline.value}, turns", 4)
+                    yield Finding(f"{pipeline.value}, frame {number}, {layer}", [mean, near], is_wrong=True)
+        yield Finding(f"{pipeline.value}, frames", 4)
 
 
 def pictures(setting: Setting) -> Iterator[Finding]:

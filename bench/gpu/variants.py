@@ -165,7 +165,7 @@ GROUPS = {
 
 
 def compare(setting: Setting, name: str) -> Iterator[Finding]:
-    """Times the variants of a group in turns, checks their frames, and reports what their kernels need.
+    """Times alternating frames of a group's variants, checks their frames, and reports what their kernels need.
 
     The last findings are tables with a row per variant. Earlier ones keep what is known if a variant fails.
     """
@@ -180,14 +180,14 @@ def compare(setting: Setting, name: str) -> Iterator[Finding]:
     renderers = {variant.name: made(group, variant, setting.device) for variant in group.variants}
     times: dict[str, list[float]] = {variant.name: [] for variant in group.variants}
     repeats = REPEATS if setting.device != "cpu" else 3
-    for turn in range(WARM + repeats):
+    for number in range(WARM + repeats):
         for variant in group.variants:
             renderer, launcher = renderers[variant.name]
             with changed(group, variant):
                 launcher.reset()
                 frames[variant.name] = renderer.render(scene, camera)
                 spent = sum(launcher.kernel_ms[kernel.key] for kernel in group.kernels())
-            if turn >= WARM:
+            if number >= WARM:
                 times[variant.name].append(spent)
     first = frames[group.variants[0].name]
     rays = camera.width * camera.height

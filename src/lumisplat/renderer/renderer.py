@@ -448,11 +448,11 @@ class Renderer:
 
         while True:
             key = scene.graph_key, integrator.graph_key(scene), self._ray_tiles.graph_key, self._binning.growth, count
-            drawn = self._launcher.replay(f"sample {integrator.turn}", key, draw)
+            drawn = self._launcher.replay(f"sample {integrator.parity}", key, draw)
             has_room = self._binning.finish() if plan.rasterises else True
             if integrator.is_complete(plan) and has_room:
                 break
-        self._launcher.replay(f"store {integrator.turn}", key, lambda: store(*drawn))
+        self._launcher.replay(f"store {integrator.parity}", key, lambda: store(*drawn))
         if self.config.time_limit is not None:
             self._launcher.synchronize()
 

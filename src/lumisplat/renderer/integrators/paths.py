@@ -41,8 +41,8 @@ class PathIntegrator:
         tracer: Finds the hits of the paths' rays.
     """
 
-    turn = 0
-    """Number of the set of arrays that a sample uses: all samples use the same."""
+    parity = 0
+    """Set of arrays that a sample uses; all samples use set 0."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
         self._launcher, self._buffers, self._tracer = launcher, buffers, tracer

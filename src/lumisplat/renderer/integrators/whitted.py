@@ -30,8 +30,8 @@ class WhittedIntegrator:
         tracer: Finds the hits of reflected and refracted rays.
     """
 
-    turn = 0
-    """Number of the set of arrays that a sample uses: all samples use the same."""
+    parity = 0
+    """Set of arrays that a sample uses; all samples use set 0."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
         self._launcher, self._tracer = launcher, tracer

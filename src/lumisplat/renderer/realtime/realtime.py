@@ -90,8 +90,8 @@ class RealtimeIntegrator:
         self._layers: dict[str, DeviceArray] = {}
         self._lit: dict[int, LitSurfaces] = {}
         """Result of the last `shade` of an even frame (0) and of an odd one (1)."""
-        self.turn = 0
-        """0 in even frames, 1 in odd ones: they store surfaces and their light in different arrays."""
+        self.parity = 0
+        """Parity of the frame, 0 or 1: even and odd frames store surfaces and their light in different arrays."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the kernel modules of a frame, without the modules that find primary hits."""
@@ -107,7 +107,7 @@ class RealtimeIntegrator:
 
     def begin_sample(self, scene: DeviceScene, sample: int) -> None:
         """Begins frame ``sample`` of the sequence: writes to the device what changes from frame to frame."""
-        size, self.turn = scene.image_size, sample % 2
+        size, self.parity = scene.image_size, sample % 2
         if self._size != size:
             self._restart(size)
         self._shadows.begin_sample(sample)
@@ -133,7 +133,7 @@ class RealtimeIntegrator:
             plan: Plan of the frame.
             hits: The rays and their hits.
         """
-        self._lit[self.turn] = lit = self._light(scene, plan, hits, self.turn)
+        self._lit[self.parity] = lit = self._light(scene, plan, hits, self.parity)
         return lit.wave
 
     def is_complete(self, plan: FramePlan) -> bool:
@@ -142,12 +142,12 @@ class RealtimeIntegrator:
 
     def finish(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
         """Adds the remaining light to the camera rays, and updates the lighting that later frames reuse."""
-        self._layers = self._average(scene, plan, self._lit[self.turn], self.turn)
+        self._layers = self._average(scene, plan, self._lit[self.parity], self.parity)
 
     def _light(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int) -> LitSurfaces:
         """Shades the surfaces that camera rays hit, and samples their direct light; follows reflected rays.
 
-        ``number`` is 0 in even frames, 1 in odd ones.
+        ``number`` is the parity of the frame.
         """
         frame_pass = self._launcher.frame_pass
         with frame_pass("surfaces"):
@@ -171,7 +171,7 @@ class RealtimeIntegrator:
     def _average(self, scene: DeviceScene, plan: FramePlan, lit: LitSurfaces, number: int) -> dict[str, DeviceArray]:
         """Adds indirect light, and filters all light over frames and pixels; returns the layers of light by name.
 
-        ``number`` is 0 in even frames, 1 in odd ones.
+        ``number`` is the parity of the frame.
         """
         frame_pass, wave, surfaces, images = self._launcher.frame_pass, lit.wave, lit.surfaces, {**lit.layers}
         light = {"direct": lit.direct}
