@@ -47,7 +47,7 @@ def hit_color(view: TraceData, instance: SplatInstanceData, gaussians: GaussianD
 
 
 @wp.func
-def seen_normal(instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
+def facing_normal(instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
     """Returns the world-space unit normal of Gaussian ``i``'s max-density plane, towards ``eye``, object space."""
     return instance.world_from_object * gaussian_facing(gaussians, i, eye)
 
@@ -59,10 +59,10 @@ def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, ind
     Colour and normal are those that the eye, unfolded at all mirrors, would see: a plane mirror shows what a mirrored
     camera sees.
     """
-    if scene.seen_normals:
-        seen = scene.seen_normals[index]
-        if wp.length_sq(seen) > 0.0:
-            return lay_behind(pixel, scene.seen_colors[index], seen, index, alpha, view.depth_iso_transmittance)
+    if scene.eye_normals:
+        facing = scene.eye_normals[index]
+        if wp.length_sq(facing) > 0.0:
+            return lay_behind(pixel, scene.eye_colors[index], facing, index, alpha, view.depth_iso_transmittance)
     number = instance_of(scene.instances, index)
     instance = scene.instances[number]
     i = index - instance.first
@@ -71,8 +71,8 @@ def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, ind
     direction = instance.object_from_world * ray.direction
     eye = origin - ray.path_length * direction
     color = wp.vec3()
-    if scene.seen_colors:
-        color = scene.seen_colors[index]
+    if scene.eye_colors:
+        color = scene.eye_colors[index]
     else:
         color = hit_color(view, instance, gaussians, i, eye)
     normal = wp.vec3()
@@ -82,7 +82,7 @@ def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, ind
     elif view.ellipsoid_normal != 0:
         normal = instance.world_from_object * ellipsoid_normal(instance, gaussians, i, origin, direction, ray)
     else:
-        normal = seen_normal(instance, gaussians, i, eye)
+        normal = facing_normal(instance, gaussians, i, eye)
     return lay_behind(pixel, color, normal, index, alpha, view.depth_iso_transmittance)
 
 

@@ -169,12 +169,12 @@ class SceneBvh:
     """Largest standard deviation by which rays widen the Gaussians of any splat instance, in pixel widths."""
     hit_distance: int
     """HIT_MEAN if any splat instance uses HIT_MEAN; else HIT_PEAK or HIT_HULL, whichever all instances use."""
-    seen_colors: wp.array[wp.vec3]
+    eye_colors: wp.array[wp.vec3]
     """Display-referred colour of each Gaussian of the scene, as seen from the eye where all rays start.
 
     Empty if rays start anywhere; they then evaluate the colours of the Gaussians that they hit."""
-    seen_normals: wp.array[wp.vec3]
-    """World-space unit normal of each Gaussian's max-density plane, towards the eye; as long as ``seen_colors``.
+    eye_normals: wp.array[wp.vec3]
+    """World-space unit normal of each Gaussian's max-density plane, towards the eye; as long as ``eye_colors``.
 
     Zero: the normal is not that of this plane, and depends on the ray."""
 

@@ -14,7 +14,7 @@ from lumisplat.renderer.scene.bvh_scene import common_hit_distance
 from lumisplat.renderer.scene.camera_table import image_field
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.trace import seen_gaussian_kernels
+from lumisplat.renderer.trace import eye_color_kernels
 from lumisplat.renderer.trace.gaussian_trace import RayLists, trace_table
 from lumisplat.runtime.buffers import Buffers, assign_table
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -51,7 +51,7 @@ class RayTiles:
 
     def modules(self) -> list[KernelModule]:
         """Returns the modules of the kernels that this class launches."""
-        return [candidate_kernels, seen_gaussian_kernels, *self._binning.modules()]
+        return [candidate_kernels, eye_color_kernels, *self._binning.modules()]
 
     @property
     def graph_key(self) -> object:
@@ -95,9 +95,9 @@ class RayTiles:
                     *(asset.instance_ids, asset.data, lists.candidates, lists.particles, keys, rects),
                 )
             if scene.has_one_eye:
-                seen = [get(f"ray_tiles.seen_{name}", wp.vec3, count) for name in ("colors", "normals")]
-                run(seen_gaussian_kernels.see_gaussians, count, scene.camera, self._settings, bvh, rects, *seen)
-                bvh.seen_colors, bvh.seen_normals = seen
+                shared = [get(f"ray_tiles.eye_{name}", wp.vec3, count) for name in ("colors", "normals")]
+                run(eye_color_kernels.find_eye_colors, count, scene.camera, self._settings, bvh, rects, *shared)
+                bvh.eye_colors, bvh.eye_normals = shared
         with self._launcher.stage("sort"):
             order = self._binning.sort(keys)
         tiles_x, tiles_y = (-(-size // RAY_TILE_PX) for size in scene.image_size)

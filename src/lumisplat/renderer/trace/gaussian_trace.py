@@ -33,8 +33,8 @@ from lumisplat.math.arrays import IntArray, Rows
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import (
+    eye_color_kernels,
     gaussian_trace_kernels,
-    seen_gaussian_kernels,
     stochastic_hit_kernels,
     tile_trace_kernels,
 )
@@ -53,7 +53,7 @@ _STRATEGIES = {
 _SETS = {SplatSets.ALL: SETS_ALL, SplatSets.CAPTURED: SETS_CAPTURED, SplatSets.RELIT: SETS_RELIT}
 
 
-SEEN_RAYS = 0.25
+EYE_COLOR_RAYS_MIN = 0.25
 """Rays from one eye share the colours of Gaussians, evaluated once for all Gaussians of the scene, if there are at
 least this many rays per Gaussian. A ray into a capture blends 8 to 15 Gaussians, a ray beside it none."""
 
@@ -101,7 +101,7 @@ class GaussianTracer:
     def modules(self, *, bounced: bool) -> list[KernelModule]:
         """Returns the modules of the kernels that traverse BVHs; ``bounced`` is as in `find`."""
         by_ray = [stochastic_hit_kernels, *RAY_ORDER_MODULES] if bounced and self._is_stochastic_hit else []
-        return [self._kernels[TRAVERSE_STACK_SMALL].module, seen_gaussian_kernels, *by_ray]
+        return [self._kernels[TRAVERSE_STACK_SMALL].module, eye_color_kernels, *by_ray]
 
     def find(
         self,
@@ -160,11 +160,11 @@ class GaussianTracer:
                 bands=bands,
             )
             return hits
-        if from_eye and not self._is_stochastic_hit and count >= SEEN_RAYS * scene.gaussian_count:
-            names = "trace.seen_colors", "trace.seen_normals"
-            seen = [self._buffers.get(name, wp.vec3, scene.gaussian_count) for name in names]
-            run(seen_gaussian_kernels.see_gaussians, scene.gaussian_count, scene.camera, settings, bvh, None, *seen)
-            bvh.seen_colors, bvh.seen_normals = seen
+        if from_eye and not self._is_stochastic_hit and count >= EYE_COLOR_RAYS_MIN * scene.gaussian_count:
+            names = "trace.eye_colors", "trace.eye_normals"
+            shared = [self._buffers.get(name, wp.vec3, scene.gaussian_count) for name in names]
+            run(eye_color_kernels.find_eye_colors, scene.gaussian_count, scene.camera, settings, bvh, None, *shared)
+            bvh.eye_colors, bvh.eye_normals = shared
         run(
             self._kernels[scene.bvh.stack],
             count // self._lanes,

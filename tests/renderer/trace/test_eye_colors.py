@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.renderer.trace import gaussian_trace, seen_gaussian_kernels
+from lumisplat.renderer.trace import eye_color_kernels, gaussian_trace
 from lumisplat.runtime.launcher import Launcher
 from support.compare.backends import renderer_of, without_lists
 from support.scenes.lenses import LENSES, lens, rolling
@@ -31,7 +31,7 @@ IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index")
 def frame(backend: str, config: ls.RenderConfig, camera: ls.Camera, *, shares: bool) -> ls.Frame:
     """Renders the placed scene through BVHs, with colours per Gaussian if ``shares``, else per hit."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gaussian_trace, "SEEN_RAYS", 0.0 if shares else np.inf)
+        patch.setattr(gaussian_trace, "EYE_COLOR_RAYS_MIN", 0.0 if shares else np.inf)
         return without_lists(renderer_of(backend, config)).render(placed_scene(), camera)
 
 
@@ -68,6 +68,6 @@ def test_only_cameras_whose_rays_start_at_the_eye_share_colors(monkeypatch: pyte
         run(self, kernel, *arguments, **options)
 
     monkeypatch.setattr(Launcher, "run_banded", recorded)
-    monkeypatch.setattr(gaussian_trace, "SEEN_RAYS", 0.0)
+    monkeypatch.setattr(gaussian_trace, "EYE_COLOR_RAYS_MIN", 0.0)
     renderer_of("cpu", TRACE).render(placed_scene(), CAMERAS[camera])
-    assert (seen_gaussian_kernels.see_gaussians in launched) == (camera in CENTRAL)
+    assert (eye_color_kernels.find_eye_colors in launched) == (camera in CENTRAL)

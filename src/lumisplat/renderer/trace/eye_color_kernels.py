@@ -1,10 +1,10 @@
-"""Kernel that evaluates Gaussians as an eye sees them. One thread per Gaussian of the scene."""
+"""Kernel that evaluates colours and normals of Gaussians from a camera's eye. One thread per Gaussian of the scene."""
 
 import warp as wp
 
 from lumisplat.device.bvh.packet import PACKET_OPTIONS
 from lumisplat.device.camera.pixels import is_listed
-from lumisplat.device.gaussian.ray_compositing import hit_color, seen_normal
+from lumisplat.device.gaussian.ray_compositing import facing_normal, hit_color
 from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.structs.bvh import SceneBvh, TraceData
 from lumisplat.device.structs.camera import CameraData
@@ -14,7 +14,7 @@ wp.set_module_options(PACKET_OPTIONS)
 
 
 @wp.kernel
-def see_gaussians(
+def find_eye_colors(
     start: int,
     cameras: wp.array[CameraData],
     settings: wp.array[TraceData],
@@ -23,9 +23,9 @@ def see_gaussians(
     colors_out: wp.array[wp.vec3],
     normals_out: wp.array[wp.vec3],
 ):
-    """Writes a Gaussian's colour and normal as rays from the camera's eye show them, if a tile lists it.
+    """Writes the colour and normal that a Gaussian has on rays from the camera's eye, if a tile lists it.
 
-    ``rects`` has the tiles that list each Gaussian; empty: all Gaussians are seen.
+    ``rects`` has the tiles that list each Gaussian; empty: all Gaussians are evaluated.
     """
     index = start + wp.tid()
     if rects:
@@ -38,4 +38,4 @@ def see_gaussians(
     colors_out[index] = hit_color(settings[0], instance, gaussians, i, eye)
     normals_out[index] = wp.vec3(0.0)
     if instance.stored_normals == 0 and settings[0].ellipsoid_normal == 0:
-        normals_out[index] = seen_normal(instance, gaussians, i, eye)
+        normals_out[index] = facing_normal(instance, gaussians, i, eye)
