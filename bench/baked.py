@@ -272,7 +272,7 @@ def room(ball: ls.MaterialPbr, count: int) -> Case:
 
 
 def statue(count: int) -> Case:
-    """Returns a glossy statue on a floor under a sun and a sky."""
+    """Returns a glossy statue on a floor, lit by a sun and an environment."""
     mesh = ls.load(DATA / "meshes" / "statue.glb")
     mesh = mesh.meshes[0].mesh if isinstance(mesh, ls.Scene) else mesh
     assert isinstance(mesh, ls.Mesh)

@@ -22,7 +22,7 @@ from support.files.training_image_files import write_nerfstudio_images
 
 FOX = DATA / "photos" / "fox"
 TRAININGS = {"0.125": 30_000, "0.25": 100_000}
-"""Gaussians by the scale of the fox's photographs."""
+"""Number of Gaussians by scale of the fox's images."""
 FOX_SIZE = 1080, 1920
 MADE_VIEWS = 48
 """Number of images that stand in for the fox."""
@@ -63,7 +63,7 @@ def gradients(setting: Setting) -> Iterator[Finding]:
 
 
 def fox(setting: Setting, scale: str) -> Iterator[Finding]:
-    """Trains on photographs of a fox, or where they are missing on images made in place."""
+    """Trains on images of a fox, or on rendered images if there are none."""
     is_small = setting.device == "cpu"
     steps, cap = (60, 1_000) if is_small else (STEPS, TRAININGS[scale])
     with tempfile.TemporaryDirectory() as folder:
@@ -108,7 +108,7 @@ def write_views(folder: Path, gaussians: ls.Gaussians, width: int, height: int, 
 
 
 def lit_ball(count: int) -> ls.Scene:
-    """Returns a ball of relit Gaussians under a sun and a sky."""
+    """Returns a ball of relit Gaussians, lit by a sun and an environment."""
     material = ls.MaterialPbr((0.7, 0.5, 0.3), roughness=0.9)
     ball = ls.gaussians_from_mesh(ls.sphere(1.0), count, seed=3)
     lights = (ls.LightEnvironment(), ls.LightDirectional((0.4, -1.0, 0.6), intensity=2.0))

@@ -246,7 +246,7 @@ def test_data_set_environments_are_rotated_about_the_vertical() -> None:
 
 
 def test_data_set_captures_get_lights_and_become_shadow_catchers_only_if_objects_are_inserted(object_file) -> None:
-    """A scene of captures gets no lights; inserted objects add a sun and a sky, and captures become shadow catchers."""
+    """Scenes of captures get no lights; with inserted objects, they get a sun and an environment, and catch shadows."""
     capture = ls.Scene([random_gaussians(1, count=300)])
     poses = ls.config.DatasetPoses(seen=0.0)
     assert views_of(small_config(poses=poses), capture)[0].scene.lights == ()

@@ -316,7 +316,7 @@ def test_probe_position_that_sees_nothing_is_logged_as_a_warning(caplog) -> None
     assert "sees nothing of the scene" in caplog.text
 
 
-SCENE, LAMP = ls.Scene([one_gaussian()]), ls.LightPoint((0, 0, 0))
+SCENE, LIGHT = ls.Scene([one_gaussian()]), ls.LightPoint((0, 0, 0))
 
 
 @pytest.mark.parametrize(
@@ -339,7 +339,7 @@ SCENE, LAMP = ls.Scene([one_gaussian()]), ls.LightPoint((0, 0, 0))
         ),
         (lambda: ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3), [0, 0, 0]), ls.SceneError, "weights are all 0"),
         (lambda: ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3), ridge=0.0), ls.SceneError, "only 3 of the 16"),
-        (lambda: ls.avatars.EnvironmentProbe.from_light(cast(Any, LAMP)), ls.SceneError, "got a LightPoint"),
+        (lambda: ls.avatars.EnvironmentProbe.from_light(cast(Any, LIGHT)), ls.SceneError, "got a LightPoint"),
         (lambda: ls.avatars.EnvironmentProbe(np.zeros((5, 3))), ls.SceneError, "expected (K, 3) with K one of 1, 4, 9"),
         (lambda: ls.avatars.EnvironmentProbe(np.full((4, 3), np.nan)), ls.SceneError, "12 non-finite"),
         (lambda: smooth_probe().radiance([0.0, 0.0, 0.0]), ls.SceneError, "zero length"),

@@ -18,7 +18,7 @@ from support.scenes.path_scenes import diffuse, quad
 
 VIEW = ls.Camera.look_at((0.2, 0.6, 2.6), (0, 0.1, 0), (0, 1, 0), width=48, height=32, fov_y=0.8)
 FLOOR = quad((-2, -0.6, -2), (0, 0, 4), (4, 0, 0), diffuse(0.7))
-LAMP = quad((-0.4, 1.5, -0.4), (0.8, 0, 0), (0, 0, 0.8), diffuse(0.0, 4.0))
+EMITTER = quad((-0.4, 1.5, -0.4), (0.8, 0, 0), (0, 0, 0.8), diffuse(0.0, 4.0))
 LIGHTS = (
     ls.LightEnvironment(),
     ls.LightPoint((1.0, 1.5, 1.0), intensity=2.0),
@@ -80,7 +80,7 @@ def assert_equal(frames: list[ls.Frame]) -> None:
 @pytest.mark.parametrize("material", MATERIALS)
 def test_opaque_meshes_are_shaded_as_in_scenes_of_any_kind(material: str) -> None:
     """The scene has lights of several kinds and an emissive mesh, with vertex normals and without."""
-    assert_equal(shaded(ls.Scene(meshes=[body(MATERIALS[material]), FLOOR, LAMP], lights=LIGHTS)))
+    assert_equal(shaded(ls.Scene(meshes=[body(MATERIALS[material]), FLOOR, EMITTER], lights=LIGHTS)))
 
 
 @pytest.mark.parametrize(

@@ -155,9 +155,9 @@ class TileVisitor(NamedTuple):
     """``(pixels, i, view, tile, x, y, settings, arrays)``: stores the result of pixel i after the tile's last splat."""
     is_sorted: bool = True
     """True: splats come sorted by depth, so that the tile ends at the first splat hidden in all pixels."""
-    expect: Any = None
+    prefetch: Any = None
     """``(arrays, view, tile, index)``: called for all splats of a batch before they are visited; None: nothing is
-    called. It fetches the memory of ``end_splat``, whose scattered accesses would otherwise wait for each other."""
+    called. It prefetches what ``end_splat`` writes, so that scattered accesses do not wait for each other."""
 
 
 @wp.func
@@ -183,7 +183,7 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
     touches_strip, at_pixel = footprint.touches_strip, footprint.at_pixel
     begin_pixel, visit, end_pixel = visitor.begin_pixel, visitor.visit, visitor.end_pixel
     end_splat, pass_by = visitor.end_splat, visitor.pass_by
-    EXPECTS, expect = visitor.expect is not None, visitor.expect or pass_by
+    PREFETCHES, prefetch = visitor.prefetch is not None, visitor.prefetch or pass_by
 
     @wp.func
     def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
@@ -232,9 +232,9 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
             if IS_SORTED:
                 farthest = farthest_unfinished(pixels.transmittance, limits.limit_z)
                 visible = visible_end(splats, tile_splats, begin, visible, wp.max(farthest))
-            if EXPECTS:
+            if PREFETCHES:
                 for j in range(begin, visible):
-                    expect(arrays, view, tile, tile_splats[j])
+                    prefetch(arrays, view, tile, tile_splats[j])
             for j in range(begin, visible):
                 splat = splats[tile_splats[j]]
                 sums = Sums()

@@ -526,7 +526,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
             add_part_at(sums, k * STRIP + x, part[k])
 
     @wp.func
-    def expect_record(arrays: Arrays, view: CameraData, tile: int, index: int):
+    def prefetch_record(arrays: Arrays, view: CameraData, tile: int, index: int):
         slot = pair_slot(arrays.rects[index], arrays.pair_starts[index], tile % view.tiles_x, tile // view.tiles_x)
         prefetch(arrays.pairs_out, slot)
         prefetch(arrays.pairs_out, slot + 1)  # where the record ends, often in another cache line
@@ -568,7 +568,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
         end_splat=store_record,
         pass_by=store_nothing,
         end_pixel=end_backward,
-        expect=expect_record,
+        prefetch=prefetch_record,
     )
 
 

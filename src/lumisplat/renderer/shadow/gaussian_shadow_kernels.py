@@ -138,7 +138,7 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             packet.group = group_of(rays.origin[first], rays.direction[first], scene.packet_radius, SPREAD_MAX)
             begin_absorption(absorption, packet, config, rays, first)
-            own_light = float(1.0)
+            transmittance_max = float(1.0)
             top = push_root(stack)
             enter_instance(tree, packet, WORLD, scene, rays, first)
             reach = largest_of(packet.group, end_rays(packet, tree, skips, first))
@@ -156,8 +156,8 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                     load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)
                     found = found | absorb(absorption, packet, particle, tree.instance, config, scene, rays, first, key)
                 if found != 0:
-                    own_light = largest(absorption.transmittance)
-                if largest_of(packet.group, own_light) <= 0.0:
+                    transmittance_max = largest(absorption.transmittance)
+                if largest_of(packet.group, transmittance_max) <= 0.0:
                     top = int(0)
             for lane in range(LANES):
                 if absorption.floor[lane] < FAR:
