@@ -105,7 +105,7 @@ def test_light_on_a_surface_does_not_darken_the_surface_point_under_it(light: ls
     frame = ls.create_renderer(config, "cpu").render(shown, middle)
     assert frame.stats is not None and frame.stats.nonfinite_count == 0
     assert frame.color[10, 15].min() > 0.01
-    assert_same_frames(shown, middle, config, unshadowed_light_kernels.add_hard_lights_tiles)
+    assert_same_frames(shown, middle, config, unshadowed_light_kernels.add_hard_lights_lanes)
 
 
 CAMERAS = {
