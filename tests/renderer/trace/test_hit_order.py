@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.compare.backends import renderer_of
+from support.compare.backends import LISTS_AND_BVHS, renderer_of
 from support.oracles.particle_oracle import hits, world_of
 from support.oracles.trace_oracle import camera_rays
 from support.scenes.raster_scenes import random_gaussians, similarity
@@ -64,14 +64,17 @@ def expected_weights(scene: ls.Scene, camera: ls.Camera) -> tuple[np.ndarray, np
     return weights[..., 0], weights[..., 1]
 
 
+@LISTS_AND_BVHS
 @pytest.mark.parametrize("backend", ["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("k", [4, 16])
-def test_ray_tracer_sorts_emissive_gaussians_by_means_and_relit_ones_by_peaks(backend: str, k: int) -> None:
+def test_ray_tracer_sorts_emissive_gaussians_by_means_and_relit_ones_by_peaks(
+    backend: str, k: int, lists: bool
+) -> None:
     """Ordering all sets by peaks would change the blend weights by more than 0.01."""
     scene, camera = mixed_scene(), small_camera(30, 22, 24.0, near=0.05)
     trace = ls.TraceConfig(hits_per_pass=k, transmittance_min=0.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=True, shadows=ls.Shadows.OFF, samples=1, trace=trace)
-    frame = renderer_of(backend, config).render(scene, camera)
+    frame = renderer_of(backend, config, lists=lists).render(scene, camera)
     captured, through = expected_weights(scene, camera)
     assert 0.1 < captured.mean() < 0.9 and through.mean() < 0.7
     assert frame.captured_weight is not None

@@ -10,7 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.renderer.raster import binning
-from support.compare.backends import renderer_of, without_lists
+from support.compare.backends import renderer_of
 from support.compare.images import assert_close
 from support.scenes.lenses import LENSES, large, layers, needle
 from support.scenes.raster_scenes import front_camera, octahedron, quad, random_gaussians, similarity
@@ -29,7 +29,7 @@ def settings(strategy: ls.config.TraceStrategy = ls.config.TraceStrategy.SORTED,
 @functools.cache
 def renderer(backend: str, config: ls.RenderConfig, *, lists: bool) -> ls.Renderer:
     """Returns a renderer whose camera rays use lists by tiles, or BVHs."""
-    return renderer_of(backend, config) if lists else without_lists(renderer_of(backend, config))
+    return renderer_of(backend, config, lists=lists)
 
 
 def assert_lists_equal_bvhs(

@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.device.bvh.packet import PACKET_OPTIONS
 from lumisplat.renderer.trace import gaussian_trace, gaussian_trace_kernels, tile_trace_kernels
 from lumisplat.runtime.launcher import Launcher
-from support.compare.backends import renderer_of, without_lists
+from support.compare.backends import LISTS_AND_BVHS, renderer_of
 from support.compare.images import assert_close, assert_images_alike
 from support.scenes.raster_scenes import (
     front_camera,
@@ -46,14 +46,16 @@ def settings(strategy: ls.config.TraceStrategy = SORTED, seed: int = 0, **change
 
 
 @functools.cache
-def renderer(backend: str, config: ls.RenderConfig) -> ls.Renderer:
+def renderer(backend: str, config: ls.RenderConfig, lists: bool = True) -> ls.Renderer:
     """Returns a renderer that all tests with these settings share."""
-    return renderer_of(backend, config)
+    return renderer_of(backend, config, lists=lists)
 
 
-def render(backend: str, scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig | None = None) -> ls.Frame:
-    """Renders a traced frame."""
-    return renderer(backend, config or settings()).render(scene, camera)
+def render(
+    backend: str, scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig | None = None, *, lists: bool = True
+) -> ls.Frame:
+    """Renders a traced frame, whose camera rays find Gaussians in lists by tiles or in BVHs."""
+    return renderer(backend, config or settings(), lists).render(scene, camera)
 
 
 make_kernel = gaussian_trace_kernels.gaussian_trace_kernel.__wrapped__
@@ -74,7 +76,7 @@ def unfused_renderer(backend: str, config: ls.RenderConfig, *, lists: bool) -> l
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gaussian_trace_kernels, "gaussian_trace_kernel", unfused_kernel)
         patch.setattr(tile_trace_kernels, "tile_trace_kernel", functools.partial(unfused_kernel, by_tiles=True))
-        return renderer_of(backend, config) if lists else without_lists(renderer_of(backend, config))
+        return renderer_of(backend, config, lists=lists)
 
 
 def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: object) -> ls.Camera:
@@ -104,9 +106,10 @@ def faint_gaussians(count: int = 400, seed: int = 61) -> ls.Gaussians:
 # --- Order ---
 
 
+@LISTS_AND_BVHS
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 def test_traced_frame_does_not_depend_on_the_order_of_gaussians_in_their_set(
-    backend: str, hit_distance: ls.config.HitDistance
+    backend: str, hit_distance: ls.config.HitDistance, lists: bool
 ) -> None:
     """Shuffled Gaussians give the same image to the bit, except for their indices, in one pass and in many.
 
@@ -116,8 +119,8 @@ def test_traced_frame_does_not_depend_on_the_order_of_gaussians_in_their_set(
     for gaussians in (random_gaussians(71, 300, degree=1), faint_gaussians()):
         order = np.random.default_rng(0).permutation(gaussians.count)
         config = settings(hit_distance=hit_distance)
-        frame = render(backend, ls.Scene([gaussians]), view(), config)
-        shuffled = render(backend, ls.Scene([gaussians.subset(order)]), view(), config)
+        frame = render(backend, ls.Scene([gaussians]), view(), config, lists=lists)
+        shuffled = render(backend, ls.Scene([gaussians.subset(order)]), view(), config, lists=lists)
         for name in ("color", "normal"):
             np.testing.assert_allclose(getattr(shuffled, name), getattr(frame, name), rtol=0.0, atol=swapped)
         assert_equal(shuffled, frame, ("alpha", "depth", "instance_index"))
@@ -126,15 +129,16 @@ def test_traced_frame_does_not_depend_on_the_order_of_gaussians_in_their_set(
         np.testing.assert_array_equal(order[shuffled.gaussian_index[found]], frame.gaussian_index[found])
 
 
-def test_gaussians_at_equal_distance_are_traced_in_the_order_of_the_scene(backend: str) -> None:
+@LISTS_AND_BVHS
+def test_gaussians_at_equal_distance_are_traced_in_the_order_of_the_scene(backend: str, lists: bool) -> None:
     """Among Gaussians at one distance, the first of a set is in front, and the first of the instances."""
     red = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0))
     blue = one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
     camera = front_camera(cx=32.5, cy=24.5)
     for scene in (ls.Scene([joined(red, blue)]), ls.Scene([red, blue])):
-        assert render(backend, scene, camera).color[24, 32] == pytest.approx([0.9, 0.0, 0.09], abs=1e-5)
+        assert render(backend, scene, camera, lists=lists).color[24, 32] == pytest.approx([0.9, 0.0, 0.09], abs=1e-5)
     for scene in (ls.Scene([joined(blue, red)]), ls.Scene([blue, red])):
-        assert render(backend, scene, camera).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
+        assert render(backend, scene, camera, lists=lists).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
@@ -169,13 +173,13 @@ def test_invisible_gaussians_do_not_change_a_traced_frame(backend: str, strategy
     """Every image keeps its bits, although every tree differs."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
-    frame = render(backend, ls.Scene([visible]), view(), settings(strategy))
+    frame = render(backend, ls.Scene([visible]), view(), settings(strategy), lists=False)
     for name, hidden in HIDDEN.items():
         # Rays of stochastic strategies may pass the wall at random; only sorted rays always end there.
         if strategy is SORTED or name != "occluded":
             scene = ls.Scene([joined(visible, hidden)])
-            assert_equal(render(backend, scene, view(), settings(strategy)), frame)
-            assert_equal(render(backend, ls.Scene([visible, hidden]), view(), settings(strategy)), frame)
+            assert_equal(render(backend, scene, view(), settings(strategy), lists=False), frame)
+            assert_equal(render(backend, ls.Scene([visible, hidden]), view(), settings(strategy), lists=False), frame)
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
@@ -208,24 +212,28 @@ def discs() -> ls.Scene:
     return ls.Scene([joined(*layers)])
 
 
+@LISTS_AND_BVHS
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 def test_tracer_blends_each_of_150_nearly_coincident_gaussians_once_in_several_passes(
-    backend: str, hit_distance: ls.config.HitDistance
+    backend: str, hit_distance: ls.config.HitDistance, lists: bool
 ) -> None:
     """The discs lie at nearly one distance; none is lost or blended twice, with hit lists of any length."""
     camera = view(3, 3, 100.0)
     for k in (4, 16):
-        frame = render(backend, discs(), camera, settings(hits_per_pass=k, hit_distance=hit_distance))
+        frame = render(backend, discs(), camera, settings(hits_per_pass=k, hit_distance=hit_distance), lists=lists)
         assert_close(frame.alpha, np.full((3, 3), 1.0 - 0.98**150), atol=1e-4, name=f"alpha in passes of {k}")
 
 
+@LISTS_AND_BVHS
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_length_of_the_hit_list_does_not_change_the_traced_frame(hit_distance: ls.config.HitDistance) -> None:
+def test_length_of_the_hit_list_does_not_change_the_traced_frame(
+    hit_distance: ls.config.HitDistance, lists: bool
+) -> None:
     """Lists of 4, 16 and 64 hits, for single rays and packets, give equal images of hundreds of Gaussians."""
     scene = ls.Scene([faint_gaussians()], [quad(3.5, tilt=0.3)])
     few, some = (settings(hits_per_pass=k, hit_distance=hit_distance) for k in (4, 16))
-    frames = [render("cpu as cuda", scene, view(), few), render("cpu as cuda", scene, view(), some)]
-    frames += [render("cpu", scene, view(), config) for config in (few, some)]
+    ways = [(backend, config) for backend in ("cpu as cuda", "cpu") for config in (few, some)]
+    frames = [render(backend, scene, view(), config, lists=lists) for backend, config in ways]
     fewest = np.log(1.0 - render("cpu", ls.Scene([faint_gaussians()]), view(), some).alpha) / np.log(1.0 - 0.02)
     assert np.median(fewest) > 64.0, "too few Gaussians on a ray to need a second pass of the longest list"
     for frame in frames[1:]:
@@ -233,10 +241,11 @@ def test_length_of_the_hit_list_does_not_change_the_traced_frame(hit_distance: l
             assert_close(getattr(frame, name), getattr(frames[0], name), atol=2e-6, name=name)
 
 
+@LISTS_AND_BVHS
 @pytest.mark.parametrize("transmittance_min", [0.3, 0.03, 1e-4])
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 def test_rays_that_end_early_blend_the_same_hits_with_short_lists(
-    backend: str, hit_distance: ls.config.HitDistance, transmittance_min: float
+    backend: str, hit_distance: ls.config.HitDistance, transmittance_min: float, lists: bool
 ) -> None:
     """Lists drop what lies behind enough opaque hits; lists of 2 or 5 hits may drop some of these, too."""
     gaussians = random_gaussians(62, 400, 1, (0.0, 0.0, 3.0), (1.0, 0.8, 2.0), scale_range=(0.1, 0.6))
@@ -247,7 +256,7 @@ def test_rays_that_end_early_blend_the_same_hits_with_short_lists(
         with pytest.MonkeyPatch.context() as patch:
             for name in ("HIT_BUFFER_CPU", "HIT_BUFFER_CUDA"):
                 patch.setattr(gaussian_trace, name, slots)
-            frames.append(renderer_of(backend, config).render(ls.Scene([gaussians]), view()))
+            frames.append(renderer_of(backend, config, lists=lists).render(ls.Scene([gaussians]), view()))
     for frame in frames[1:]:
         assert_equal(frame, frames[0])
     assert np.median(frames[0].alpha) > 1.0 - transmittance_min
@@ -294,7 +303,7 @@ def test_images_traced_by_ray_packets_equal_those_of_single_rays(
     """Sixteen rays traverse together; their hits equal those of single rays up to rounding."""
     scene, camera = SCENES[name]
     config = settings(strategy, seed=5, hit_distance=hit_distance)
-    together, alone = (render(backend, scene, camera, config) for backend in ("cpu", "cpu as cuda"))
+    together, alone = (render(backend, scene, camera, config, lists=False) for backend in ("cpu", "cpu as cuda"))
     for image in IMAGES:
         one, other = getattr(together, image), getattr(alone, image)
         if hit_distance is not ls.config.HitDistance.HULL:
@@ -338,11 +347,12 @@ def test_ellipsoid_normals_of_ray_packets_equal_those_of_single_rays(strategy: l
     normal depends on the root of a small difference. Fused operations change either; another test compares without.
     """
     config = settings(strategy, normal_method=ls.config.NormalMethod.ELLIPSOID)
-    together, alone = (render(backend, full_scene(), view(), config) for backend in ("cpu", "cpu as cuda"))
+    together, alone = (render(backend, full_scene(), view(), config, lists=False) for backend in ("cpu", "cpu as cuda"))
     difference = np.abs(together.normal - alone.normal).max(axis=-1)
     assert (difference <= 2e-6).mean() > 0.99 and difference.mean() < 2e-7
-    assert_equal(together, render("cpu", full_scene(), view(), settings(strategy)), ("color", "alpha", "depth"))
-    assert np.abs(together.normal - render("cpu", full_scene(), view(), settings(strategy)).normal).max() > 0.1
+    blended = render("cpu", full_scene(), view(), settings(strategy), lists=False)
+    assert_equal(together, blended, ("color", "alpha", "depth"))
+    assert np.abs(together.normal - blended.normal).max() > 0.1
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))

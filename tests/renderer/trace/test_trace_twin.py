@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.compare.backends import renderer_of
+from support.compare.backends import LISTS_AND_BVHS, renderer_of
 from support.oracles import trace_oracle
 from support.scenes.raster_scenes import quad
 from support.scenes.trace_scenes import Case, cases, mirror_scene, placed_scene, trace_config
@@ -28,14 +28,16 @@ def twin_of(name: str) -> dict[str, np.ndarray]:
     return TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
 
 
+@LISTS_AND_BVHS
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_traced_frame_equals_the_float64_reference(case: Case, backend: str) -> None:
+def test_traced_frame_equals_the_float64_reference(case: Case, backend: str, lists: bool) -> None:
     """Every image equals the twin's within the tolerance that the twin computes for rounding.
 
     Colours, alpha and normals are compared everywhere, index and distance of the surface where rounding cannot change
     them.
     """
-    frame = renderer_of(backend, replace(case.config, lighting=False)).render(case.scene, case.camera)
+    renderer = renderer_of(backend, replace(case.config, lighting=False), lists=lists)
+    frame = renderer.render(case.scene, case.camera)
     assert_agrees(frame, twin_of(case.name), ("color", "alpha"), ("depth", "depth_z"))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 import warp as wp
 
 import lumisplat as ls
@@ -28,8 +29,10 @@ class ReplayingRenderer(ls.Renderer):
         return frames[-1]
 
 
-def renderer_of(backend: str, config: ls.RenderConfig | None = None) -> ls.Renderer:
-    """Returns a renderer with one of ``BACKENDS``."""
+def renderer_of(backend: str, config: ls.RenderConfig | None = None, *, lists: bool = True) -> ls.Renderer:
+    """Returns a renderer with one of ``BACKENDS``, whose camera rays use lists by tiles where they can, or BVHs."""
+    if not lists:
+        return without_lists(renderer_of(backend, config))
     renderer = ls.create_renderer(config, backend.partition(" as ")[0])
     if backend == "cpu":
         return renderer
@@ -46,3 +49,7 @@ def without_lists(renderer: ls.Renderer) -> ls.Renderer:
 
     renderer._plan_of = plan_of
     return renderer
+
+
+LISTS_AND_BVHS = pytest.mark.parametrize("lists", [True, False], ids=["lists", "BVHs"])
+"""Runs a test twice: camera rays find Gaussians in lists by tiles, or in BVHs."""
