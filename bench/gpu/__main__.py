@@ -1,4 +1,4 @@
-"""Checks and measures everything on a GPU, in named slices of under 8 minutes each (checks: 5 minutes).
+"""Checks and measures everything on a GPU, in named slices of at most eight minutes each.
 
 ``python -m bench.gpu [--device cuda] [--slices checks frames ...] [--out FOLDER]``; ``--list`` shows slices and steps.
 

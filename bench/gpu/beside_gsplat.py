@@ -98,18 +98,20 @@ def gsplat_draw(
 ) -> Callable[[], Any]:
     """Returns a call of gsplat's rasteriser with tensors that are already on the device."""
     given = {name: torch.tensor(values, device=setting.device) for name, values in columns(gaussians).items()}
-    matrix = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=setting.device)[None]
+    return partial(rasterization, **given, **view_arguments(setting, camera, torch))
+
+
+def view_arguments(setting: Setting, camera: ls.Camera, torch: Any) -> dict[str, Any]:
+    """Returns the arguments of gsplat for a camera, with SH of degree 3."""
     lens = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
-    return partial(
-        rasterization,
-        **given,
-        viewmats=matrix,
-        Ks=torch.tensor([lens], dtype=torch.float32, device=setting.device),
-        width=camera.width,
-        height=camera.height,
-        sh_degree=3,
-        packed=False,
-    )
+    return {
+        "viewmats": torch.tensor(camera.camera_from_world, dtype=torch.float32, device=setting.device)[None],
+        "Ks": torch.tensor([lens], dtype=torch.float32, device=setting.device),
+        "width": camera.width,
+        "height": camera.height,
+        "sh_degree": 3,
+        "packed": False,
+    }
 
 
 def columns(gaussians: ls.Gaussians) -> dict[str, np.ndarray]:
@@ -131,18 +133,15 @@ def compare_gradients(setting: Setting, count: int, torch: Any, rasterization: A
         name: torch.tensor(np.ascontiguousarray(values), device=setting.device, requires_grad=True)
         for name, values in columns(gaussians).items()
     }
-    pose = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=setting.device)[None]
-    lens = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
-    lenses = torch.tensor([lens], dtype=torch.float32, device=setting.device)
+    of_view = view_arguments(setting, camera, torch)
     weights = torch.tensor(pixel_weights, device=setting.device)[None]
-    size: Any = {"width": camera.width, "height": camera.height}
     theirs: list[tuple[float, float]] = []
     for _ in range(WARM + REPEATS):
         for leaf in leaves.values():
             leaf.grad = None
         torch.cuda.synchronize()
         begun = time.perf_counter()
-        image = rasterization(**leaves, viewmats=pose, Ks=lenses, **size, sh_degree=3, packed=False)[0]
+        image = rasterization(**leaves, **of_view)[0]
         torch.cuda.synchronize()
         drawn = time.perf_counter()
         (image * weights).sum().backward()

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import lumisplat as ls
+from bench.gpu.frames import HOST_STAGES
 from bench.gpu.worker import Finding, Setting
 from support.scenes import raster_scenes
 
@@ -70,6 +71,6 @@ def stages_of_gradients(
         found = [*renderer.gradients(pixel_weights).sets]
         walls.append(1e3 * (time.perf_counter() - begun))
         rows.append(dict(renderer._launcher.stage_ms))
-    names = [name for name in rows[-1] if name not in ("sync", "download")]
+    names = [name for name in rows[-1] if name not in HOST_STAGES]
     stages = {name: statistics.median(row[name] for row in rows[WARM:]) for name in names}
     return stages, statistics.median(walls[WARM:]), found[0]

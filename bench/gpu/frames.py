@@ -59,7 +59,7 @@ class FrameTimes:
     first: float
     """The first frame, with kernels that are not loaded yet."""
     walls: list[float]
-    """Until the colours are on the host."""
+    """Each lasts until the colours are on the host."""
     device: float
     """Median of the activities of the device, as its events time them; 0 on a CPU."""
     activities: dict[str, int]
@@ -70,7 +70,7 @@ class FrameTimes:
 
     @property
     def wall(self) -> float:
-        """Median."""
+        """The median frame, until its colours are on the host."""
         return statistics.median(self.walls)
 
     @property
@@ -80,7 +80,7 @@ class FrameTimes:
 
     @property
     def text(self) -> str:
-        """Cell of the page."""
+        """The times as a cell of the page shows them."""
         return f"{self.wall:.2f} ms, on the device {self.drawing:.2f} ms"
 
     def findings(self, name: str, figure: tuple[str, ...] = ()) -> Iterator[Finding]:
@@ -201,7 +201,7 @@ def moving_room(setting: Setting) -> Iterator[Finding]:
     times = frame_times(setting, preset.config(), lambda number: (preset.scene(number), camera), repeats=30)
     yield from times.findings(preset.title)
     per_second = f"{1e3 / times.wall:.1f} frames a second"
-    waits = f"{times.wall:.2f} ms a frame, of which the device works {times.device:.2f} ms"
+    waits = f"{times.wall:.2f} ms a frame, of which activities of the GPU take {times.device:.2f} ms"
     row = ("realtime", preset.title, f"{per_second}; {waits}", "", "")
     yield Finding("frames a second", round(1e3 / times.wall, 1), figure=row)
     if setting.device != "cpu":
@@ -212,7 +212,7 @@ def moving_room(setting: Setting) -> Iterator[Finding]:
 def kernel_rows(
     setting: Setting, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera
 ) -> list[dict[str, object]]:
-    """Returns the kernels of a frame that take most time, each with its launches, milliseconds and resources."""
+    """Returns the kernels of a frame that take most time, each with its launches and milliseconds."""
     launcher = KernelLauncher(setting.device)
     renderer = ls.Renderer(config, launcher)
     for _ in range(3):

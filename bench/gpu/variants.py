@@ -59,8 +59,6 @@ class Variant:
     name: str
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
     """New values of names, ``module:NAME``."""
-    loads: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Functions that load a struct, ``module:NAME``, and the struct, if they differ from those of the group."""
 
 
 @dataclass(frozen=True)
@@ -262,8 +260,7 @@ def moved_bytes(setting: Setting, group: Group, variant: Variant) -> dict[str, o
         return counters(setting, group, variant)
     small = replace(setting, width=min(setting.width, COUNTED_WIDTH))
     scene, camera = group.subject(small)
-    loads = {**group.loads, **variant.loads}
-    counted = {name: counted_load_of(struct, slot) for slot, (name, struct) in enumerate(loads.items())}
+    counted = {name: counted_load_of(struct, slot) for slot, (name, struct) in enumerate(group.loads.items())}
     numbers = counts()
     renderer, _ = made(group, variant, "cpu", **counted)
     with changed(group, variant, **counted):
@@ -273,7 +270,7 @@ def moved_bytes(setting: Setting, group: Group, variant: Variant) -> dict[str, o
     rays = camera.width * camera.height
     row: dict[str, object] = {}
     total = 0
-    for slot, struct in enumerate(loads.values()):
+    for slot, struct in enumerate(group.loads.values()):
         row[f"{struct.__name__}s a ray (CPU)"] = round(found[slot] / rays, 1)
         total += found[slot] * wp.types.type_size_in_bytes(struct)
     return {**row, "bytes a ray (CPU)": round(total / rays)}
