@@ -15,6 +15,7 @@ from lumisplat.device.path.steps import PathData, PathSteps
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.integrators import opaque_path_kernels, path_kernels, path_wave_kernels
 from lumisplat.renderer.integrators.opaque_path_kernels import OpaqueWave
+from lumisplat.renderer.integrators.sample_integrator import SampleIntegrator
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -31,7 +32,7 @@ SPAWNED_FIELDS = frozenset({"is_active", "t_max", "sample_key", "pixel_key", "sa
 them."""
 
 
-class PathIntegrator:
+class PathIntegrator(SampleIntegrator):
     """Computes the radiance of rays by path tracing, one path per ray.
 
     Args:
@@ -40,9 +41,6 @@ class PathIntegrator:
         config: Settings.
         tracer: Finds the hits of the paths' rays.
     """
-
-    parity = 0
-    """Set of arrays that a sample uses; all samples use set 0."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
         self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
@@ -62,9 +60,6 @@ class PathIntegrator:
         """Begins sample ``sample`` of the frame: writes to the device what changes from sample to sample."""
         self._shadows.begin_sample(sample)
 
-    def graph_key(self, scene: DeviceScene) -> object:
-        """Returns None: a recorded CUDA graph of `shade` contains nothing but what the scene's key contains."""
-
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
         """Returns the camera rays with their radiance over all bounces.
 
@@ -75,13 +70,6 @@ class PathIntegrator:
         """
         with self._launcher.stage("light"):
             return self._follow(scene, plan, hits)
-
-    def is_complete(self, plan: FramePlan) -> bool:
-        """Returns True: lists of paths have room for all camera rays."""
-        return True
-
-    def finish(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Ends a sample."""
 
     def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
         """Traces the paths that begin at the camera rays' hits, bounce by bounce; returns the camera rays' radiance."""

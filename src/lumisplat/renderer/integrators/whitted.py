@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 
 from lumisplat.config import RenderConfig
+from lumisplat.renderer.integrators.sample_integrator import SampleIntegrator
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -20,7 +21,7 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
-class WhittedIntegrator:
+class WhittedIntegrator(SampleIntegrator):
     """Computes the radiance of rays, lit or unlit, following reflection and refraction over all bounces.
 
     Args:
@@ -29,9 +30,6 @@ class WhittedIntegrator:
         config: Settings.
         tracer: Finds the hits of reflected and refracted rays.
     """
-
-    parity = 0
-    """Set of arrays that a sample uses; all samples use set 0."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
         self._launcher, self._tracer = launcher, tracer
@@ -53,7 +51,7 @@ class WhittedIntegrator:
         self._direct_light.begin_sample(sample)
 
     def graph_key(self, scene: DeviceScene) -> object:
-        """Returns values that a recorded CUDA graph of `shade` contains; a graph recorded with others is stale."""
+        """Returns the capacities of waves, which a recorded CUDA graph of `shade` contains."""
         return self._specular.graph_key
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
@@ -68,11 +66,8 @@ class WhittedIntegrator:
             return self._follow(scene, plan, hits)
 
     def is_complete(self, plan: FramePlan) -> bool:
-        """Returns whether all rays of the last `shade` were followed; if not, draw the sample again."""
+        """Returns whether all waves of the last `shade` had room for their rays."""
         return plan.max_bounces == 0 or self._specular.finish()
-
-    def finish(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Ends a sample that is complete."""
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """Returns the direct light of each light at the primary hits, if the frame requests it."""
