@@ -57,9 +57,12 @@ def test_layers_of_albedo_and_normals_do_not_depend_on_shared_colors(
             np.testing.assert_allclose(getattr(shared, name), getattr(own, name), atol=1e-6, err_msg=name)
 
 
+@pytest.mark.parametrize("lists", [True, False], ids=["lists", "BVHs"])
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_only_cameras_whose_rays_start_at_the_eye_share_colors(monkeypatch: pytest.MonkeyPatch, camera: str) -> None:
-    """The kernel that evaluates all Gaussians is launched for these cameras alone."""
+def test_only_cameras_whose_rays_start_at_the_eye_share_colors(
+    monkeypatch: pytest.MonkeyPatch, camera: str, lists: bool
+) -> None:
+    """The kernel that evaluates all Gaussians is launched for these cameras alone, with and without lists by tiles."""
     launched: list[object] = []
     run = Launcher.run_banded
 
@@ -69,5 +72,6 @@ def test_only_cameras_whose_rays_start_at_the_eye_share_colors(monkeypatch: pyte
 
     monkeypatch.setattr(Launcher, "run_banded", recorded)
     monkeypatch.setattr(gaussian_trace, "EYE_COLOR_RAYS_MIN", 0.0)
-    renderer_of("cpu", TRACE).render(placed_scene(), CAMERAS[camera])
+    renderer = renderer_of("cpu", TRACE)
+    (renderer if lists else without_lists(renderer)).render(placed_scene(), CAMERAS[camera])
     assert (eye_color_kernels.find_eye_colors in launched) == (camera in CENTRAL)
