@@ -94,7 +94,9 @@ def compile_into(folder: Path, modules: Iterable[wp.Module]) -> list[Path]:
     if changed := [
         name for module, name in zip(modules, names, strict=True) if module.get_module_identifier(1) != name
     ]:
-        raise RuntimeError(f"compiling has changed hashes of sources, so that these would not be found: {changed}")
+        raise RuntimeError(
+            f"compiling changed the hashes of {changed}, so no machine would find them: restore each option set"
+        )
     return written
 
 

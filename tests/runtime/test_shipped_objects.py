@@ -148,8 +148,8 @@ def test_other_version_of_warp_compiles_its_own_kernels(shipped: Path, left_to_w
     shipped.parent.rename(shipped.parent.with_name("1.18.0-Linux-x86_64-0123abcd-x86-64-v3"))
     load_module(MODULE, "cpu", 1)
     assert left_to_warp == [MODULE.name]
-    assert "not used: they are for Warp 1.18.0-Linux-x86_64-0123abcd-x86-64-v3, and this is " in shipped_state()
-    assert shipped_state().endswith(target_of_kernels())
+    assert "not used: made for 1.18.0-Linux-x86_64-0123abcd-x86-64-v3, but this is " in shipped_state()
+    assert shipped_state().endswith(f"{target_of_kernels()}: install Lumisplat again")
 
 
 def test_kernels_whose_source_or_options_differ_are_compiled(shipped: Path, left_to_warp: list[str]) -> None:
@@ -173,7 +173,7 @@ def test_damaged_shipped_kernels_are_compiled_with_a_warning(
         load_module(MODULE, "cpu", 1)
     assert left_to_warp == [MODULE.name]
     assert [record.getMessage() for record in caplog.records] == [
-        f"{shipped}: damaged, so it is compiled: install Lumisplat again"
+        f"{shipped}: shipped kernels are damaged and are compiled here; install Lumisplat again to replace them"
     ]
 
 

@@ -91,7 +91,7 @@ def _load_shipped(module: wp.Module, block_threads: int) -> bool:
             return True
     except Exception:  # Warp raises bare exceptions for damaged files
         _log.debug("%s cannot be loaded", path, exc_info=True)
-    _log.warning("%s: damaged, so it is compiled: install Lumisplat again", path)
+    _log.warning("%s: shipped kernels are damaged and are compiled here; install Lumisplat again to replace them", path)
     return False
 
 

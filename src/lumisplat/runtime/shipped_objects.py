@@ -53,5 +53,5 @@ def shipped_state() -> str:
         return f"{count} modules, not used: the CPU lacks {', '.join(missing)}"
     if not (SHIPPED_FOLDER / target).is_dir():
         made_for = ", ".join(sorted(folder.name for folder in SHIPPED_FOLDER.iterdir()))
-        return f"{count} modules, not used: they are for Warp {made_for}, and this is {target}"
+        return f"{count} modules, not used: made for {made_for}, but this is {target}: install Lumisplat again"
     return f"{count} modules for CPUs, used"
