@@ -18,7 +18,7 @@ SAH_BINS = 16
 MORTON_ITEMS_MIN = 256
 """Number of items above which CUDA splits a node by Morton codes, and up to which by the surface area heuristic.
 
-Rays visit at most 6 % more nodes of such a tree than if all nodes were split by the heuristic."""
+In two captures, warps visit 2 and 7 % more nodes than if all nodes were split by the heuristic (ADR 0108)."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 AREA_ITEMS = wp.constant(MORTON_ITEMS_MIN)
