@@ -37,7 +37,7 @@ RESERVED_SHARED = 1024
 
 @dataclass(frozen=True)
 class Resources:
-    """What one kernel asks of a GPU."""
+    """Resources of a GPU that a thread or block of one kernel takes."""
 
     registers: int
     """Registers of a thread."""

@@ -1,4 +1,4 @@
-"""What a steady frame asks of a GPU's driver, with CUDA's schedule on the CPU; docs/guide/cuda.md has the table."""
+"""Steady frames make as many calls of a GPU's driver as docs/guide/cuda.md says; CUDA's schedule runs on the CPU."""
 
 from __future__ import annotations
 

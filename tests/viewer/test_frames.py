@@ -111,7 +111,7 @@ class NoScreen:
         """Does nothing."""
 
 
-def test_camera_counts_as_stopped_after_twice_the_usual_gap_between_its_messages(
+def test_camera_counts_as_stopped_after_three_times_the_usual_gap_between_its_messages(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A single step may begin a motion, so it waits longest; a motion with one longer gap waits longer for a while."""

@@ -42,7 +42,7 @@ class GizmoPose:
 
 @dataclass(frozen=True)
 class Drag:
-    """What a gizmo drag started from: the scene entry, the gizmo's transform and the animation time."""
+    """State at the start of a gizmo drag: the scene entry, the gizmo's transform and the animation time."""
 
     entry: ls.io.SceneEntry
     """Scene entry as it was before the drag."""

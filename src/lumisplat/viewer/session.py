@@ -98,7 +98,7 @@ class Options:
     budget_ms: float = 40.0
     """Time budget of a frame while the camera or the scene changes, milliseconds."""
     view: str = "color"
-    """What pages show of a frame: ``color``, or the AOV with a name of `lumisplat.Frame.VIEWS`."""
+    """Image of a frame that pages show: ``color``, or the AOV with a name of `lumisplat.Frame.VIEWS`."""
     time: float = 0.0
     """Animation time at which the scene is shown, seconds."""
     outlines: bool = True

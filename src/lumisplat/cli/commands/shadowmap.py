@@ -45,7 +45,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     strength: Annotated[float | None, setting("FACTOR", "1")] = None
     """Multiply the absorption of light by the casters by this factor."""
     absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("NAME", "avg")] = None
-    """Absorb by opacity at any size (avg), more if wide (simple), or small (mass, diag)."""
+    """Convert opacity to absorption: avg, or the ablations simple, mass and diag."""
     sampling: Annotated[Literal["center", "stencil", "monte-carlo"] | None, setting("NAME", "monte-carlo")] = None
     """Sample the map per Gaussian by center, stencil (7 points) or monte-carlo (random points)."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None

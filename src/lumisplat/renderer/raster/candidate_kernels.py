@@ -35,7 +35,7 @@ def find_candidates(
     keys_out: wp.array[wp.uint32],
     rects_out: wp.array[TileRect],
 ):
-    """Projects a Gaussian to the image. One thread per Gaussian of one instance of an asset.
+    """Projects a Gaussian to the image. One thread per Gaussian of each instance of an asset.
 
     The key of the Gaussian holds the bits of a positive float: as integers, such bits sort like the floats.
     """

@@ -222,7 +222,7 @@ def weight_history(
     Args:
         start: Offset added to the thread index.
         size: Width and height of the images.
-        sequence: Weight of cached lighting, a factor on the number of frames of every history.
+        sequence: The frame, whose weight of cached lighting multiplies the number of frames of every history.
         moved_to: Index in this frame of each instance of the previous frame; UNMOVED (-1): it stood still; GONE (-2):
             it was removed.
         history: History of the previous frame.

@@ -299,7 +299,7 @@ def accumulate(
         size: Width and height of the images.
         frames_max: Largest number of frames for which a history counts; older samples then fade.
         shared: Number of pixels that share each sample, and therefore its noise.
-        sequence: Weight of cached lighting, a factor on the number of frames of a short history.
+        sequence: The frame, whose weight of cached lighting multiplies the number of frames of a short history.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         light: Samples of the frame.

@@ -69,7 +69,7 @@ def sample_lights(
         start: Offset added to the thread index.
         no_shadows: Whether light passes through everything.
         interval: Number of frames from one sample of a pixel to the next, 1 or 2.
-        sequence: Number of the frame.
+        sequence: The frame in its sequence; its number is read.
         grid: Light grid of the camera rays' surfaces.
         camera: Camera of the frame.
         scene: The scene.

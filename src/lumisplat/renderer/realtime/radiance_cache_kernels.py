@@ -308,7 +308,7 @@ def list_points(
 
     Args:
         start: Offset added to the thread index.
-        sequence: Number of the frame.
+        sequence: The frame in its sequence; its number is read.
         tiles: Tiles of the cache.
         ranks: Ranks of the tiles, longest wait first.
         near_ends: Running sum over the ranks of the number of fine cells.

@@ -51,7 +51,8 @@ CANDIDATES_AHEAD = wp.constant(12)
 """Number of entries between the one that is tested and the one whose candidate is prefetched."""
 
 PARTICLES_AHEAD = wp.constant(6)
-"""The same for particles, which only entries that are not skipped need."""
+"""Number of entries between the one that is tested and the one whose particle is prefetched. Only entries that are
+not skipped need their particles."""
 
 SETS_ALL: int = wp.constant(0)
 

@@ -214,7 +214,7 @@ class BackgroundJobs:
 
 @dataclass(frozen=True)
 class JobContext:
-    """What background jobs need: the session, the open pages, the job runner and the still renderer."""
+    """Context of background jobs: the session, the open pages, the job runner and the still renderer."""
 
     session: Session
     pages: Mapping[int, Page]
