@@ -1,4 +1,4 @@
-"""Checks and measures everything on a GPU, in named slices of at most eight minutes each.
+"""Checks and measures everything on a GPU, in named slices (at most 8 minutes each).
 
 ``python -m bench.gpu [--device cuda] [--slices checks frames ...] [--out FOLDER]``; ``--list`` shows slices and steps.
 
