@@ -11,7 +11,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.renderer.trace import eye_color_kernels, gaussian_trace
 from lumisplat.runtime.launcher import Launcher
-from support.compare.backends import renderer_of, without_lists
+from support.compare.backends import LISTS_AND_BVHS, renderer_of
 from support.scenes.lenses import LENSES, lens, rolling
 from support.scenes.trace_scenes import placed_scene
 
@@ -32,7 +32,7 @@ def frame(backend: str, config: ls.RenderConfig, camera: ls.Camera, *, shares: b
     """Renders the placed scene through BVHs, with colours per Gaussian if ``shares``, else per hit."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gaussian_trace, "EYE_COLOR_RAYS_MIN", 0.0 if shares else np.inf)
-        return without_lists(renderer_of(backend, config)).render(placed_scene(), camera)
+        return renderer_of(backend, config, lists=False).render(placed_scene(), camera)
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
@@ -57,7 +57,7 @@ def test_layers_of_albedo_and_normals_do_not_depend_on_shared_colors(
             np.testing.assert_allclose(getattr(shared, name), getattr(own, name), atol=1e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("lists", [True, False], ids=["lists", "BVHs"])
+@LISTS_AND_BVHS
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_only_cameras_whose_rays_start_at_the_eye_share_colors(
     monkeypatch: pytest.MonkeyPatch, camera: str, lists: bool
@@ -72,6 +72,5 @@ def test_only_cameras_whose_rays_start_at_the_eye_share_colors(
 
     monkeypatch.setattr(Launcher, "run_banded", recorded)
     monkeypatch.setattr(gaussian_trace, "EYE_COLOR_RAYS_MIN", 0.0)
-    renderer = renderer_of("cpu", TRACE)
-    (renderer if lists else without_lists(renderer)).render(placed_scene(), CAMERAS[camera])
+    renderer_of("cpu", TRACE, lists=lists).render(placed_scene(), CAMERAS[camera])
     assert (eye_color_kernels.find_eye_colors in launched) == (camera in CENTRAL)
