@@ -10,8 +10,18 @@ The equations are in docs/method/ray_tracing.md#traversal.
 import warp as wp
 
 from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK
-from lumisplat.device.math.memory import aligned_load_of, storage_of
-from lumisplat.device.structs.bvh import FAR, HIT_MEAN, Children, Node, Slabs, TreeRay, WaitingLink
+from lumisplat.device.math.memory import aligned_load_of, from_zero, storage_of
+from lumisplat.device.structs.bvh import (
+    FAR,
+    HIT_MEAN,
+    NO_CHILD,
+    ChildLinks,
+    Children,
+    Node,
+    Slabs,
+    TreeRay,
+    WaitingLink,
+)
 
 TRAVERSE_MARGIN = 1e-6
 """Rays are widened by this fraction of the distance and of their origin's coordinates, so that rounding misses no box.
@@ -368,3 +378,110 @@ def push_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, ent
             stack[j] = stack[j - 1]
             j -= 1
         stack[j] = waiting
+
+
+# --- Single rays through meshes: sets of lanes, and stacks of words ---
+#
+# The nearest child that a ray enters is visited next without being stored; only the others wait.
+
+WordStackStorage = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.uint64)
+
+UnsortedStackStorage = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
+
+LOW_WORD = wp.constant(wp.uint64(2**32 - 1))
+
+
+@wp.func
+def word_stack(storage: wp.ref[WordStackStorage]) -> wp.array[wp.uint64]:
+    """Returns a traversal stack of words, whose array points to the memory of the local variable ``storage``."""
+    return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=wp.uint64)
+
+
+@wp.func
+def unsorted_stack(storage: wp.ref[UnsortedStackStorage]) -> wp.array[int]:
+    """Returns a traversal stack of links, whose array points to the memory of the local variable ``storage``."""
+    return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=int)
+
+
+@wp.func_native("#if defined(__CUDA_ARCH__)\nreturn __ffs(mask) - 1;\n#else\nreturn __builtin_ctz(mask);\n#endif\n")
+def first_lane(mask: int) -> int:
+    """Returns the lowest bit that is set in ``mask``, which is not 0: the first of a set of lanes."""
+    ...
+
+
+_LANES_WITHIN = """
+#if defined(__CUDA_ARCH__)
+int lanes = 0;
+for (int c = 0; c < WIDTH; ++c)
+    lanes |= (values[c] <= limit) << c;
+return lanes;
+#else
+typedef float Floats __attribute__((ext_vector_type(WIDTH)));
+typedef bool Flags __attribute__((ext_vector_type(WIDTH)));
+const Floats numbers = __builtin_bit_cast(Floats, values);
+return __builtin_bit_cast(unsigned char, __builtin_convertvector(numbers <= limit, Flags));
+#endif
+"""
+
+
+@wp.func_native(_LANES_WITHIN.replace("WIDTH", str(NODE_WIDTH)))
+def lanes_within(values: Children, limit: float) -> int:
+    """Returns the set of lanes, as a bit mask, whose value is at most ``limit``."""
+    ...
+
+
+@wp.func
+def waiting_word(entry: float, link: int) -> wp.uint64:
+    """Returns an entry of a stack of words: sorted by distance of entry, which is not negative, then by link."""
+    return (wp.uint64(wp.cast(entry, wp.uint32)) << wp.uint64(32)) | wp.uint64(wp.cast(link, wp.uint32))
+
+
+@wp.func
+def nearest_entered(
+    stack: wp.array[wp.uint64], top: wp.ref[int], links: ChildLinks, entries: Children, lanes: int
+) -> int:
+    """Returns the link of the child in ``lanes`` that a ray enters first; pushes the others, the nearest on top.
+
+    ``lanes`` is the set of entered children, not empty.
+    """
+    base = int(top)
+    c = first_lane(lanes)
+    nearest = waiting_word(entries[c], links[c])
+    rest = lanes & (lanes - 1)
+    while rest != 0:
+        c = first_lane(rest)
+        rest = rest & (rest - 1)
+        word = waiting_word(entries[c], links[c])
+        other = wp.where(word < nearest, nearest, word)
+        nearest = wp.where(word < nearest, word, nearest)
+        j = int(top)
+        while j > base and stack[from_zero(j - 1)] < other:
+            stack[from_zero(j)] = stack[from_zero(j - 1)]
+            j -= 1
+        stack[from_zero(j)] = other
+        top += 1
+    return int(wp.uint32(nearest & LOW_WORD))
+
+
+@wp.func
+def next_waiting(stack: wp.array[wp.uint64], top: wp.ref[int], bottom: int, reach: float) -> int:
+    """Returns the link on top of a stack that a ray enters before ``reach``, and pops it and all links above it.
+
+    NO_CHILD: no link above ``bottom`` is left.
+    """
+    while top > bottom:
+        top -= 1
+        word = stack[from_zero(top)]
+        if wp.cast(wp.uint32(word >> wp.uint64(32)), wp.float32) <= reach:
+            return int(wp.uint32(word & LOW_WORD))
+    return NO_CHILD
+
+
+@wp.func
+def push_lanes(stack: wp.array[int], top: wp.ref[int], links: ChildLinks, lanes: int):
+    """Pushes the links of the children in ``lanes``, in the order of storage."""
+    rest = int(lanes)
+    while rest != 0:
+        stack[from_zero(top)] = links[first_lane(rest)]
+        rest = rest & (rest - 1)
+        top += 1

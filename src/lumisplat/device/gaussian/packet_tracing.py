@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from lumisplat.constants import HIT_BUFFER_CPU, HIT_BUFFER_CUDA
-from lumisplat.device.bvh.nodes import footprint_variance, larger, lesser
+from lumisplat.device.bvh.nodes import first_lane, footprint_variance, larger, lesser
 from lumisplat.device.bvh.packet import buffer_hit, empty_list, is_before, largest_of, least_of, packet_of
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.particle import alpha_of_degree, surface_peak
@@ -506,12 +506,6 @@ def close_last_pass(
         depth = surface_distance(scene, ray_of(rays, i), t_max, index, progress.last_t)
         pixel = close_pass(load_pixel(radiance, i), radiance, i, rays.sample_key[i], depth, index)
         store_pixel(radiance, i, pixel)
-
-
-@wp.func_native("#if defined(__CUDA_ARCH__)\nreturn __ffs(mask) - 1;\n#else\nreturn __builtin_ctz(mask);\n#endif\n")
-def first_lane(mask: int) -> int:
-    """Returns the lowest bit that is set in ``mask``, which is not 0: the first lane of a set of a packet's rays."""
-    ...
 
 
 class PacketTracing(NamedTuple):

@@ -10,11 +10,22 @@ The equations are in docs/method/ray_tracing.md#triangles.
 
 import warp as wp
 
-from lumisplat.constants import RAY_START_BACK
-from lumisplat.device.bvh.nodes import enter_boxes, inverse_or_large, larger, lesser, load_node, push_entered, push_link
+from lumisplat.constants import NODE_WIDTH, RAY_START_BACK
+from lumisplat.device.bvh.nodes import (
+    WIDTH,
+    enter_boxes,
+    first_lane,
+    inverse_or_large,
+    lanes_within,
+    larger,
+    lesser,
+    load_node,
+    nearest_entered,
+    next_waiting,
+)
 from lumisplat.device.mesh.mesh_surface import hit_weights, passes_alpha_test
 from lumisplat.device.structs import struct
-from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node, WaitingLink
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, Children, MeshBvh, Node, TriangleLeaf
 from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshInstanceData
 
 
@@ -32,11 +43,13 @@ class RayShear:
 
 @struct
 class MeshRay:
-    """A ray in the object space of a mesh instance; distances along it are world-space distances."""
+    """A ray in world space or in the object space of a mesh instance; distances along it are world-space distances."""
 
     origin: wp.vec3
     direction: wp.vec3
-    """Direction of the ray in object space; not unit, so that distances along it are world-space distances."""
+    """Direction of the ray; in object space not unit, so that distances along it are world-space distances."""
+    inverse: wp.vec3
+    """``1 / x`` for each component x of the direction, limited to finite values."""
     shear: RayShear
     begin: float
     """World-space distance from the original ray's origin to the start of this ray, which lies close to the mesh's
@@ -58,11 +71,25 @@ class MeshHit:
 
 
 @struct
+class Crossings:
+    """Intersections of the infinite line of a ray with the triangles of a leaf, one lane for each triangle."""
+
+    a: Children
+    """Weights of the triangles' first corners, not normalised."""
+    b: Children
+    c: Children
+    depth_a: Children
+    """Offsets of the triangles' first corners from the ray's origin along the axis to which the ray is sheared."""
+    depth_b: Children
+    depth_c: Children
+
+
+@struct
 class TriangleHit:
     """Intersection of a ray with one triangle: distance and barycentric weights."""
 
     t: float
-    """Distance along the ray; inf: the ray misses the triangle."""
+    """Distance along the ray."""
     weights: wp.vec2
     """Barycentric weights of the triangle's second and third corner at the hit."""
 
@@ -80,12 +107,11 @@ def axis_last(v: wp.vec3, axis: int) -> wp.vec3:
 def ray_shear(direction: wp.vec3) -> RayShear:
     """Returns the shear that maps a ray of this direction, of any length but zero, to a coordinate axis."""
     shear = RayShear()
-    shear.axis = 2
-    size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
-    if size[0] >= size[1] and size[0] >= size[2]:
-        shear.axis = 0
-    elif size[1] >= size[2]:
-        shear.axis = 1
+    x = wp.abs(direction[0])
+    y = wp.abs(direction[1])
+    z = wp.abs(direction[2])
+    # Without branches, which scattered rays would mispredict.
+    shear.axis = wp.where(larger(y, z) > x, wp.where(z > y, 2, 1), 0)
     turned = axis_last(direction, shear.axis)
     shear.slope = wp.vec2(turned[0] / turned[2], turned[1] / turned[2])
     shear.inverse = 1.0 / turned[2]
@@ -101,32 +127,80 @@ def edge_side(a: wp.vec2, b: wp.vec2) -> float:
     return a[0] * b[1] - a[1] * b[0]
 
 
+_LOAD_TURNED = """
+constexpr int WIDTH = {width};
+const int rows[3] = {(axis + 1) % 3 * WIDTH, (axis + 2) % 3 * WIDTH, axis * WIDTH};
+const float* from = reinterpret_cast<const float*>(leaves.data + i);
+float* to = reinterpret_cast<float*>(&leaf);
+for (int corner = 0; corner < 3; ++corner)
+    for (int k = 0; k < 3; ++k)
+        for (int c = 0; c < WIDTH; ++c)
+            to[(3 * corner + k) * WIDTH + c] = from[3 * corner * WIDTH + rows[k] + c];
+"""
+
+
+@wp.func_native(_LOAD_TURNED.replace("{width}", str(NODE_WIDTH)))
+def load_turned(leaves: wp.array[TriangleLeaf], i: int, axis: int, leaf: wp.ref[TriangleLeaf]):
+    """Reads the corners of leaf ``i``, each permuted as by `axis_last`; leaves out ``face``."""
+    ...
+
+
 @wp.func
-def intersect_triangle(
-    origin: wp.vec3, direction: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3
-) -> TriangleHit:
-    """Intersects the infinite line of a ray with a triangle, from either side.
+def cross_triangles(leaf: wp.ref[TriangleLeaf], origin: wp.vec3, shear: RayShear, crossings: wp.ref[Crossings]) -> int:
+    """Intersects the infinite line of a ray with the triangles of a leaf, from either side.
+
+    ``leaf`` and ``origin`` are permuted as by `axis_last`. Returns the set of lanes, as a bit mask, whose triangles are
+    hit.
+    """
+    a_x = leaf.a_x
+    a_y = leaf.a_y
+    a_z = leaf.a_z
+    b_x = leaf.b_x
+    b_y = leaf.b_y
+    b_z = leaf.b_z
+    c_x = leaf.c_x
+    c_y = leaf.c_y
+    c_z = leaf.c_z
+    misses = Children()
+    for c in range(WIDTH):
+        depth_a = a_z[c] - origin[2]
+        depth_b = b_z[c] - origin[2]
+        depth_c = c_z[c] - origin[2]
+        flat_a_x = (a_x[c] - origin[0]) - shear.slope[0] * depth_a
+        flat_a_y = (a_y[c] - origin[1]) - shear.slope[1] * depth_a
+        flat_b_x = (b_x[c] - origin[0]) - shear.slope[0] * depth_b
+        flat_b_y = (b_y[c] - origin[1]) - shear.slope[1] * depth_b
+        flat_c_x = (c_x[c] - origin[0]) - shear.slope[0] * depth_c
+        flat_c_y = (c_y[c] - origin[1]) - shear.slope[1] * depth_c
+        weight_a = flat_c_x * flat_b_y - flat_c_y * flat_b_x
+        weight_b = flat_a_x * flat_c_y - flat_a_y * flat_c_x
+        weight_c = flat_b_x * flat_a_y - flat_b_y * flat_a_x
+        low = lesser(weight_a, lesser(weight_b, weight_c))
+        high = larger(weight_a, larger(weight_b, weight_c))
+        total = weight_a + weight_b + weight_c
+        misses[c] = wp.where(total == 0.0, 1.0, wp.where(low < 0.0, wp.where(high > 0.0, 1.0, 0.0), 0.0))
+        crossings.a[c] = weight_a
+        crossings.b[c] = weight_b
+        crossings.c[c] = weight_c
+        crossings.depth_a[c] = depth_a
+        crossings.depth_b[c] = depth_b
+        crossings.depth_c[c] = depth_c
+    return lanes_within(misses, 0.0)
+
+
+@wp.func
+def hit_of(crossings: wp.ref[Crossings], c: int, inverse: float) -> TriangleHit:
+    """Returns where a ray hits the triangle in lane ``c`` of a leaf; ``inverse`` is that of the ray's shear.
 
     The distance is a weighted mean of the corners' distances, so that it stays between them even at grazing angles.
     """
+    a = crossings.a[c]
+    b = crossings.b[c]
+    d = crossings.c[c]
+    total = a + b + d
     hit = TriangleHit()
-    hit.t = wp.inf
-    turned_a = axis_last(v0 - origin, shear.axis)
-    turned_b = axis_last(v1 - origin, shear.axis)
-    turned_c = axis_last(v2 - origin, shear.axis)
-    flat_a = wp.vec2(turned_a[0] - shear.slope[0] * turned_a[2], turned_a[1] - shear.slope[1] * turned_a[2])
-    flat_b = wp.vec2(turned_b[0] - shear.slope[0] * turned_b[2], turned_b[1] - shear.slope[1] * turned_b[2])
-    flat_c = wp.vec2(turned_c[0] - shear.slope[0] * turned_c[2], turned_c[1] - shear.slope[1] * turned_c[2])
-    weight_a = edge_side(flat_c, flat_b)
-    weight_b = edge_side(flat_a, flat_c)
-    weight_c = edge_side(flat_b, flat_a)
-    if lesser(weight_a, lesser(weight_b, weight_c)) < 0.0 and larger(weight_a, larger(weight_b, weight_c)) > 0.0:
-        return hit
-    total = weight_a + weight_b + weight_c
-    if total == 0.0:
-        return hit
-    hit.t = shear.inverse * (weight_a * turned_a[2] + weight_b * turned_b[2] + weight_c * turned_c[2]) / total
-    hit.weights = wp.vec2(weight_b / total, weight_c / total)
+    hit.t = inverse * (a * crossings.depth_a[c] + b * crossings.depth_b[c] + d * crossings.depth_c[c]) / total
+    hit.weights = wp.vec2(b / total, d / total)
     return hit
 
 
@@ -176,23 +250,42 @@ def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> 
 
     ``inverse`` has ``1 / x`` for each component of the direction, limited to finite values.
     """
-    a = wp.cw_mul(low - origin, inverse)
-    b = wp.cw_mul(high - origin, inverse)
-    return wp.vec2(wp.max(wp.min(a, b)), wp.min(wp.max(a, b)))
+    ax = (low[0] - origin[0]) * inverse[0]
+    bx = (high[0] - origin[0]) * inverse[0]
+    ay = (low[1] - origin[1]) * inverse[1]
+    by = (high[1] - origin[1]) * inverse[1]
+    az = (low[2] - origin[2]) * inverse[2]
+    bz = (high[2] - origin[2]) * inverse[2]
+    near = larger(larger(lesser(ax, bx), lesser(ay, by)), lesser(az, bz))
+    far = lesser(lesser(larger(ax, bx), larger(ay, by)), larger(az, bz))
+    return wp.vec2(near, far)
 
 
 @wp.func
-def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
-    """Transforms a ray to the object space of a mesh instance.
+def mesh_ray(origin: wp.vec3, direction: wp.vec3) -> MeshRay:
+    """Returns a ray that starts at ``origin``, prepared for tests of boxes and triangles."""
+    ray = MeshRay()
+    ray.origin = origin
+    ray.direction = direction
+    ray.inverse = inverse_or_large(direction)
+    ray.shear = ray_shear(direction)
+    return ray
+
+
+@wp.func
+def ray_in_mesh(instance: MeshInstanceData, world: MeshRay, entry: float, t_min: float) -> MeshRay:
+    """Transforms a ray from world space to the object space of a mesh instance.
 
     The ray starts at ``t_min`` or shortly before ``entry``, the distance at which it enters the instance's box. So
     close to the box, rounding errors are relative to the size of the box instead of the distance from the ray's origin.
     """
-    ray = MeshRay()
-    ray.begin = wp.max(entry - BACK * wp.abs(entry), t_min)
-    ray.origin = instance.object_from_world * (origin - instance.position + ray.begin * direction)
-    ray.direction = instance.object_from_world * direction
-    ray.shear = ray_shear(ray.direction)
+    begin = wp.max(entry - BACK * wp.abs(entry), t_min)
+    start = world.origin - instance.position + begin * world.direction
+    ray = world
+    ray.origin = start
+    if instance.keeps_directions == 0:
+        ray = mesh_ray(instance.object_from_world * start, instance.object_from_world * world.direction)
+    ray.begin = begin
     return ray
 
 
@@ -214,37 +307,39 @@ def is_nearer(t: float, local_t: float, face: int, instance: int, nearest: MeshH
 
 @wp.func
 def keep_nearest(
-    triangle: MeshTriangle,
-    ray: MeshRay,
+    hit: TriangleHit,
+    triangle: int,
+    begin: float,
     number: int,
     t_min: float,
     sample_key: wp.uint32,
     scene: MeshBvh,
     nearest: wp.ref[MeshHit],
 ):
-    """Intersects a ray with a triangle of instance ``number``, and stores the hit if it is nearer than ``nearest``."""
-    hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
-    t = ray.begin + hit.t
-    if t > t_min and is_nearer(t, hit.t, triangle.face, number, nearest):
+    """Stores a hit of a triangle of instance ``number`` if it is nearer than ``nearest``.
+
+    ``begin`` is where the object-space ray starts, as in MeshRay.
+    """
+    t = begin + hit.t
+    if t > t_min and is_nearer(t, hit.t, triangle, number, nearest):
         if scene.instances[number].alpha.mode != ALPHA_OPAQUE:
-            face = scene.instances[number].face_first + triangle.face
+            face = scene.instances[number].face_first + triangle
             where = hit_weights(hit.weights)
             if not passes_alpha_test(scene.instances[number], scene.meshes, face, where, sample_key):
                 return
         nearest.t = t
         nearest.local_t = hit.t
-        nearest.face = triangle.face
+        nearest.face = triangle
         nearest.instance = number
         nearest.weights = hit.weights
 
 
 @wp.func
 def walk_instance(
-    stack: wp.array[WaitingLink],
-    top: int,
+    stack: wp.array[wp.uint64],
+    bottom: int,
     number: int,
-    origin: wp.vec3,
-    direction: wp.vec3,
+    world: MeshRay,
     t_min: float,
     sample_key: wp.uint32,
     scene: MeshBvh,
@@ -252,32 +347,43 @@ def walk_instance(
 ):
     """Finds the nearest triangle of mesh instance ``number`` on a ray, by traversing the BVH of its mesh.
 
-    The traversal uses the stack entries from ``top`` on. ``nearest`` is changed only by a nearer hit.
+    The traversal uses the stack entries from ``bottom`` on. ``nearest`` is changed only by a nearer hit.
     """
-    span = box_span(origin, inverse_or_large(direction), scene.instances[number].low, scene.instances[number].high)
+    span = box_span(world.origin, world.inverse, scene.instances[number].low, scene.instances[number].high)
     if not (span[0] <= span[1] and span[1] > t_min and span[0] <= nearest.t):
         return
-    ray = ray_in_mesh(scene.instances[number], origin, direction, span[0], t_min)
-    inverse = inverse_or_large(ray.direction)
-    asset = scene.instances[number].asset
+    ray = ray_in_mesh(scene.instances[number], world, span[0], t_min)
+    turned = axis_last(ray.origin, ray.shear.axis)
+    nodes = scene.assets[scene.instances[number].asset].nodes
+    leaves = scene.assets[scene.instances[number].asset].leaves
     node = Node()
-    height = int(top)
-    push_link(stack, height, scene.instances[number].root)
-    while height > top:
-        height -= 1
-        reach = nearest.t - ray.begin
-        if stack[height].entry <= reach:
-            link = stack[height].link
-            if link < 0:
-                keep_nearest(scene.assets[asset].triangles[~link], ray, number, t_min, sample_key, scene, nearest)
-            else:
-                load_node(scene.assets[asset].nodes, link, node)
-                push_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), reach)
+    leaf = TriangleLeaf()
+    crossings = Crossings()
+    top = int(bottom)
+    link = scene.instances[number].root
+    while link != NO_CHILD:
+        lanes = int(0)
+        if link < 0:
+            load_turned(leaves, ~link, ray.shear.axis, leaf)
+            hits = cross_triangles(leaf, turned, ray.shear, crossings)
+            while hits != 0:
+                c = first_lane(hits)
+                hits = hits & (hits - 1)
+                hit = hit_of(crossings, c, ray.shear.inverse)
+                keep_nearest(hit, leaves[~link].face[c], ray.begin, number, t_min, sample_key, scene, nearest)
+        else:
+            load_node(nodes, link, node)
+            entries = enter_boxes(node, ray.origin, ray.inverse)
+            lanes = lanes_within(entries, lesser(nearest.t - ray.begin, FAR))
+            if lanes != 0:
+                link = nearest_entered(stack, top, node.link, entries, lanes)
+        if lanes == 0:
+            link = next_waiting(stack, top, bottom, nearest.t - ray.begin)
 
 
 @wp.func
 def nearest_triangle(
-    stack: wp.array[WaitingLink],
+    stack: wp.array[wp.uint64],
     origin: wp.vec3,
     direction: wp.vec3,
     t_min: float,
@@ -293,17 +399,20 @@ def nearest_triangle(
     nearest.t = t_max
     nearest.face = -1
     nearest.instance = -1
-    inverse = inverse_or_large(direction)
+    world = mesh_ray(origin, direction)
     node = Node()
     top = int(0)
-    push_link(stack, top, 0)
-    while top > 0:
-        top -= 1
-        if stack[top].entry <= nearest.t:
-            link = stack[top].link
-            if link < 0:
-                walk_instance(stack, top, scene.tlas_order[~link], origin, direction, t_min, sample_key, scene, nearest)
-            else:
-                load_node(scene.tlas_nodes, link, node)
-                push_entered(stack, top, node, enter_boxes(node, origin, inverse), nearest.t)
+    link = int(0)
+    while link != NO_CHILD:
+        lanes = int(0)
+        if link < 0:
+            walk_instance(stack, top, scene.tlas_order[~link], world, t_min, sample_key, scene, nearest)
+        else:
+            load_node(scene.tlas_nodes, link, node)
+            entries = enter_boxes(node, world.origin, world.inverse)
+            lanes = lanes_within(entries, lesser(nearest.t, FAR))
+            if lanes != 0:
+                link = nearest_entered(stack, top, node.link, entries, lanes)
+        if lanes == 0:
+            link = next_waiting(stack, top, 0, nearest.t)
     return nearest

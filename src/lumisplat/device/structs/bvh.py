@@ -122,14 +122,23 @@ class CandidateLists:
 
 
 @struct
-class MeshTriangle:
-    """A triangle prepared for ray intersection, object space."""
+class TriangleLeaf:
+    """A leaf of a mesh's BVH: up to NODE_WIDTH triangles, object space, one in each lane of the vectors.
 
-    a: wp.vec3
-    b: wp.vec3
-    c: wp.vec3
-    face: int
-    """Index of the triangle in its mesh."""
+    All corners of an unused lane are at one point, so that no ray hits it.
+    """
+
+    a_x: Children
+    a_y: Children
+    a_z: Children
+    b_x: Children
+    b_y: Children
+    b_z: Children
+    c_x: Children
+    c_y: Children
+    c_z: Children
+    face: ChildLinks
+    """Index of each triangle in its mesh; -1: the lane is unused."""
 
 
 @struct
@@ -138,8 +147,8 @@ class TriangleBvh:
 
     nodes: wp.array[Node]
     """Nodes of the trees of all meshes: first the root of each tree, then all other nodes."""
-    triangles: wp.array[MeshTriangle]
-    """Triangles of all meshes, in the order of the trees' leaves."""
+    leaves: wp.array[TriangleLeaf]
+    """Leaves of the trees of all meshes."""
 
 
 @struct

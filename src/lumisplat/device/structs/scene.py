@@ -207,6 +207,8 @@ class MeshInstanceData:
     """Inverse of ``world_from_object``."""
     position: wp.vec3
     """Position of the object's origin in world space."""
+    keeps_directions: int
+    """1: the instance is not rotated, scaled or sheared, so directions are the same in object and world space."""
     low: wp.vec3
     """Lower corner of the instance's bounding box, world space, enlarged against rounding."""
     high: wp.vec3

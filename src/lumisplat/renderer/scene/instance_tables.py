@@ -124,6 +124,7 @@ def mesh_instance_table(
     table["world_from_object_normal"] = normal_matrices / np.abs(normal_matrices).max(axis=(1, 2), keepdims=True)
     table["object_from_world"] = object_from_world
     table["position"] = transforms[:, :3, 3]
+    table["keeps_directions"] = (transforms[:, :3, :3] == np.eye(3)).all(axis=(1, 2))
     table["first"] = np.cumsum([0, *(instance.mesh.face_count for instance in scene.meshes[:-1])])
     if len(boxes.roots):
         table["low"], table["high"] = boxes.low, boxes.high

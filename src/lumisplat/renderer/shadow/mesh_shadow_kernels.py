@@ -3,17 +3,31 @@
 import warp as wp
 
 from lumisplat.device.bvh.nodes import (
-    LinkStackStorage,
+    UnsortedStackStorage,
     enter_boxes,
-    inverse_or_large,
-    link_stack,
+    first_lane,
+    lanes_within,
+    lesser,
     load_node,
-    push_all_entered,
-    push_link,
+    push_lanes,
+    unsorted_stack,
 )
 from lumisplat.device.light.shadow_rays import pass_straight
 from lumisplat.device.material.media import is_in, passed
-from lumisplat.device.mesh.mesh_rays import MeshRay, box_span, intersect_triangle, owns_crossing, ray_in_mesh
+from lumisplat.device.math.memory import from_zero
+from lumisplat.device.mesh.mesh_rays import (
+    Crossings,
+    MeshRay,
+    TriangleHit,
+    axis_last,
+    box_span,
+    cross_triangles,
+    hit_of,
+    load_turned,
+    mesh_ray,
+    owns_crossing,
+    ray_in_mesh,
+)
 from lumisplat.device.mesh.mesh_surface import (
     face_normal,
     hit_weights,
@@ -23,7 +37,7 @@ from lumisplat.device.mesh.mesh_surface import (
     surface_normal,
 )
 from lumisplat.device.structs import struct
-from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node, WaitingLink
+from lumisplat.device.structs.bvh import FAR, MeshBvh, Node, TriangleLeaf
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
@@ -52,6 +66,26 @@ class MeshShadowRay:
 
 
 @struct
+class MeshShadows:
+    """Shadow rays through meshes, as far as they differ from other rays, and their results; one element for each ray.
+
+    The arrays are in a struct, because Warp compiles a kernel twice if arrays are its arguments, and its functions are
+    then not inlined.
+    """
+
+    opaque: wp.array[wp.bool]
+    """True if glass blocks the ray; empty: glass blocks no ray."""
+    media: wp.array[wp.vec4i]
+    """Media around the rays' origins, encoded as in ``Boundary``; empty: all origins are in air."""
+    skips: wp.array[wp.bool]
+    """True if the ray passes through shadow catchers."""
+    light: wp.array[wp.vec3]
+    """Result: transmittance of the meshes, linear, per channel."""
+    limits: wp.array[float]
+    """Result: distance up to which Gaussians may block the light that remains; 0: they need not be traced."""
+
+
+@struct
 class MeshPassage:
     """Running results while a shadow ray crosses the triangles of one mesh instance."""
 
@@ -67,18 +101,18 @@ class MeshPassage:
 
 @wp.func
 def pass_triangle(
-    triangle: MeshTriangle,
+    hit: TriangleHit,
+    face: int,
     ray: MeshRay,
     shadow: MeshShadowRay,
     number: int,
     scene: MeshBvh,
     passage: wp.ref[MeshPassage],
 ):
-    """Multiplies the passage's light by the transmittance of a triangle of instance ``number``.
+    """Multiplies the passage's light by the transmittance of a hit triangle, ``face``, of instance ``number``.
 
     ``ray`` is the shadow ray in the mesh's object space.
     """
-    hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
     t = ray.begin + hit.t
     if not (t > 0.0 and t < shadow.t_max):
         return
@@ -88,10 +122,14 @@ def pass_triangle(
         passage.light = wp.vec3(0.0)
         return
     weights = hit_weights(hit.weights)
-    if wp.min(weights) < EDGE and not owns_crossing(ray.origin, ray.shear, triangle.a, triangle.b, triangle.c):
-        return
     instance = scene.instances[number]
-    corners = scene.meshes.indices[instance.face_first + triangle.face]
+    corners = scene.meshes.indices[instance.face_first + face]
+    if wp.min(weights) < EDGE:
+        a = scene.meshes.positions[corners[0]]
+        b = scene.meshes.positions[corners[1]]
+        c = scene.meshes.positions[corners[2]]
+        if not owns_crossing(ray.origin, ray.shear, a, b, c):
+            return
     share = wp.vec3(0.0)
     if is_glass:
         normal = surface_normal(instance, scene.meshes, corners, weights)
@@ -119,35 +157,50 @@ def length_inside(passage: MeshPassage, shadow: MeshShadowRay, number: int) -> f
 
 @wp.func
 def pass_instance(
-    stack: wp.array[WaitingLink],
-    top: int,
+    stack: wp.array[int],
+    bottom: int,
     number: int,
+    world: MeshRay,
     shadow: MeshShadowRay,
     scene: MeshBvh,
     light: wp.ref[wp.vec3],
 ):
-    """Multiplies the light by the transmittance of instance ``number``; the traversal uses ``stack`` above ``top``."""
-    outer = inverse_or_large(shadow.direction)
-    span = box_span(shadow.origin, outer, scene.instances[number].low, scene.instances[number].high)
+    """Multiplies the light by the transmittance of instance ``number``.
+
+    ``world`` is the shadow ray in world space. The traversal uses ``stack`` from ``bottom`` on.
+    """
+    span = box_span(world.origin, world.inverse, scene.instances[number].low, scene.instances[number].high)
     if not (span[0] <= span[1] and span[1] > 0.0 and span[0] < shadow.t_max):
         return
-    ray = ray_in_mesh(scene.instances[number], shadow.origin, shadow.direction, span[0], 0.0)
-    inverse = inverse_or_large(ray.direction)
-    asset = scene.instances[number].asset
+    ray = ray_in_mesh(scene.instances[number], world, span[0], 0.0)
+    nodes = scene.assets[scene.instances[number].asset].nodes
+    leaves = scene.assets[scene.instances[number].asset].leaves
     passage = MeshPassage()
     passage.light = light
+    turned = axis_last(ray.origin, ray.shear.axis)
+    reach = lesser(shadow.t_max - ray.begin, FAR)
     node = Node()
-    height = int(top)
-    push_link(stack, height, scene.instances[number].root)
-    while height > top and wp.max(passage.light) > 0.0:
-        height -= 1
-        link = stack[height].link
+    leaf = TriangleLeaf()
+    crossings = Crossings()
+    top = int(bottom)
+    stack[from_zero(top)] = scene.instances[number].root
+    top += 1
+    while top > bottom:
+        top -= 1
+        link = stack[from_zero(top)]
         if link < 0:
-            triangle = scene.assets[asset].triangles[~link]
-            pass_triangle(triangle, ray, shadow, number, scene, passage)
+            load_turned(leaves, ~link, ray.shear.axis, leaf)
+            hits = cross_triangles(leaf, turned, ray.shear, crossings)
+            while hits != 0:
+                c = first_lane(hits)
+                hits = hits & (hits - 1)
+                hit = hit_of(crossings, c, ray.shear.inverse)
+                pass_triangle(hit, leaves[~link].face[c], ray, shadow, number, scene, passage)
+                if wp.max(passage.light) <= 0.0:
+                    top = bottom
         else:
-            load_node(scene.assets[asset].nodes, link, node)
-            push_all_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), shadow.t_max - ray.begin)
+            load_node(nodes, link, node)
+            push_lanes(stack, top, node.link, lanes_within(enter_boxes(node, ray.origin, ray.inverse), reach))
     light = passage.light
     if scene.instances[number].material.is_medium != 0:
         inside = length_inside(passage, shadow, number)
@@ -155,46 +208,30 @@ def pass_instance(
 
 
 @wp.func
-def light_past_meshes(shadow: MeshShadowRay, scene: MeshBvh) -> wp.vec3:
+def light_past_meshes(stack: wp.array[int], shadow: MeshShadowRay, scene: MeshBvh) -> wp.vec3:
     """Returns the product of the transmittances of all meshes on a shadow ray, linear, per channel."""
     light = wp.vec3(1.0)
-    inverse = inverse_or_large(shadow.direction)
-    storage = LinkStackStorage()
-    stack = link_stack(storage)
+    world = mesh_ray(shadow.origin, shadow.direction)
+    reach = lesser(shadow.t_max, FAR)
     node = Node()
-    top = int(0)
-    push_link(stack, top, 0)
-    while top > 0 and wp.max(light) > 0.0:
+    stack[0] = 0
+    top = int(1)
+    while top > 0:
         top -= 1
-        link = stack[top].link
+        link = stack[from_zero(top)]
         if link < 0:
-            pass_instance(stack, top, scene.tlas_order[~link], shadow, scene, light)
+            pass_instance(stack, top, scene.tlas_order[~link], world, shadow, scene, light)
+            if wp.max(light) <= 0.0:
+                top = 0
         else:
             load_node(scene.tlas_nodes, link, node)
-            push_all_entered(stack, top, node, enter_boxes(node, shadow.origin, inverse), shadow.t_max)
+            push_lanes(stack, top, node.link, lanes_within(enter_boxes(node, world.origin, world.inverse), reach))
     return light
 
 
-@wp.kernel
-def shadow_by_meshes(
-    start: int,
-    opaque: wp.array[wp.bool],
-    media: wp.array[wp.vec4i],
-    meshes_only: bool,
-    scene: MeshBvh,
-    rays: RayData,
-    skips: wp.array[wp.bool],
-    light_out: wp.array[wp.vec3],
-    limit_out: wp.array[float],
-):
-    """Per shadow ray: writes the transmittance of all meshes between its origin and ``t_max``.
-
-    Glass blocks a ray if the ray's ``opaque`` is True; with an empty ``opaque``, glass blocks no ray. ``media`` are the
-    media around the origins; if empty, all origins are in air. ``limit_out`` is the distance up to which Gaussians may
-    block the light that remains. It is 0 if no light remains. With ``meshes_only``, it is also 0 for rays with
-    ``skips``, which pass through shadow catchers; only meshes can then block these rays.
-    """
-    i = start + wp.tid()
+@wp.func
+def find_light(stack: wp.array[int], i: int, meshes_only: bool, scene: MeshBvh, rays: RayData, shadows: MeshShadows):
+    """Writes the transmittance of all meshes on shadow ray ``i``, and how far along it Gaussians may block light."""
     t_max = rays.t_max[i]
     light = wp.vec3(1.0)
     if rays.is_active[i] and t_max > 0.0:
@@ -202,11 +239,27 @@ def shadow_by_meshes(
         shadow.origin = rays.origin[i]
         shadow.direction = rays.direction[i]
         shadow.t_max = t_max
-        if opaque:
-            shadow.is_opaque = opaque[i]
-        if media:
-            shadow.media = media[i]
-        light = light_past_meshes(shadow, scene)
-    light_out[i] = light
-    is_done = wp.max(light) <= 0.0 or (meshes_only and skips[i])
-    limit_out[i] = wp.where(is_done, 0.0, t_max)
+        if shadows.opaque:
+            shadow.is_opaque = shadows.opaque[i]
+        if shadows.media:
+            shadow.media = shadows.media[i]
+        light = light_past_meshes(stack, shadow, scene)
+    shadows.light[i] = light
+    is_done = wp.max(light) <= 0.0 or (meshes_only and shadows.skips[i])
+    shadows.limits[i] = wp.where(is_done, 0.0, t_max)
+
+
+@wp.kernel(launch_bounds=(256, 2))
+def shadow_by_meshes(
+    start: int, lanes: int, meshes_only: bool, scene: MeshBvh, rays: RayData, shadows_out: MeshShadows
+):
+    """Writes the transmittance of all meshes between the origin of each shadow ray and ``t_max``.
+
+    With ``meshes_only``, only meshes can block rays that pass through shadow catchers. A thread takes ``lanes`` rays,
+    one after another.
+    """
+    storage = UnsortedStackStorage()
+    stack = unsorted_stack(storage)
+    first = from_zero(lanes * (start + wp.tid()))
+    for i in range(first, wp.min(first + lanes, rays.t_max.shape[0])):
+        find_light(stack, from_zero(i), meshes_only, scene, rays, shadows_out)

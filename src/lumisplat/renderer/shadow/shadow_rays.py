@@ -149,10 +149,16 @@ class ShadowRays:
             return rays.t_max
         limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
         meshes_only = not splat_shadows.on_shadow_catchers
+        shadows = mesh_shadow_kernels.MeshShadows()
+        shadows.skips, shadows.light, shadows.limits = skips, light, limits
+        if opaque is not None:
+            shadows.opaque = opaque
+        if media is not None:
+            shadows.media = media
         self._launcher.run_banded(
             mesh_shadow_kernels.shadow_by_meshes,
-            count,
-            *(opaque, media, meshes_only, scene.mesh_bvh, rays, skips, light, limits),
+            -(-count // self._lanes),
+            *(self._lanes, meshes_only, scene.mesh_bvh, rays, shadows),
             bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
         )
         return limits

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants import TILE_BANDS_PER_THREAD
+from lumisplat.constants import PACKET_RAYS, TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -146,10 +146,11 @@ class MeshTracer:
         hits = self._buffers.struct(name, MeshHits, count)
         if scene.mesh_instances.shape[0]:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
+            lanes = 1 if self._launcher.is_parallel else PACKET_RAYS
             self._launcher.run_banded(
                 mesh_trace_kernels.find_mesh_hits,
-                count,
-                *(bounced, scene.mesh_bvh, rays, hits),
+                -(-count // lanes),
+                *(lanes, bounced, scene.mesh_bvh, rays, hits),
                 bands=bands,
             )
         else:

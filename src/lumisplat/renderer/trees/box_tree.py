@@ -1,7 +1,8 @@
 """Builds bounding volume hierarchies (BVHs) over boxes, and refits them when the boxes change.
 
-Nodes have eight children, leaves one item. A BVH is built level by level from the root, so children come after their
-parents, and a refit runs backwards through the levels. Several BVHs are built at once; their roots are the first level.
+Nodes have eight children; a leaf has one item, or up to a number that is chosen for the BVH. A BVH is built level by
+level from the root, so children come after their parents, and a refit runs backwards through the levels. Several BVHs
+are built at once; their roots are the first level.
 """
 
 # Warp creates its vector types at run time, so type checkers know neither them nor the kernels that take them.
@@ -63,6 +64,7 @@ class BoxTree:
 
     Args:
         launcher: Runs the kernels.
+        leaf: Largest number of items in a leaf.
     """
 
     nodes: DeviceArray
@@ -71,8 +73,8 @@ class BoxTree:
     MODULES: ClassVar[tuple[KernelModule, ...]] = (kernels,)
     """Kernel modules that build and refit BVHs."""
 
-    def __init__(self, launcher: Launcher) -> None:
-        self._launcher = launcher
+    def __init__(self, launcher: Launcher, leaf: int = 1) -> None:
+        self._launcher, self._leaf = launcher, leaf
         self._buffers = Buffers(launcher.device)
         self.levels: list[tuple[int, int]] = []
         """For each level, beginning with the roots: index of the level's first node, and number of its nodes."""
@@ -131,7 +133,7 @@ class BoxTree:
             self._launcher.run_banded(
                 kernels.split_by_area,
                 level.nodes,
-                *(level.first, int(level.depth < TREE_SURFACE_LEVELS), level.begins, level.ends),
+                *(level.first, int(level.depth < TREE_SURFACE_LEVELS), self._leaf, level.begins, level.ends),
                 *(boxes, items, level.edges, level.inner),
                 bands=SPLIT_BANDS,
             )
@@ -149,7 +151,7 @@ class BoxTree:
             self._launcher.run_banded(
                 kernels.split_by_code,
                 level.nodes,
-                *(level.first, int(level.depth < TREE_SURFACE_LEVELS), level.begins, level.ends),
+                *(level.first, int(level.depth < TREE_SURFACE_LEVELS), self._leaf, level.begins, level.ends),
                 *(codes, boxes, items, level.edges, level.inner),
                 bands=SPLIT_BANDS,
             )
@@ -173,7 +175,9 @@ class BoxTree:
             split(Level(len(self.levels), first, nodes, begins, ends, edges, inner))
             prefix_sum(inner, inner_ends, inclusive=True)
             self._launcher.run_banded(
-                kernels.link_nodes, nodes, first, first + nodes, edges, inner_ends, inner, begins, ends, links
+                kernels.link_nodes,
+                nodes,
+                *(first, first + nodes, self._leaf, edges, inner_ends, inner, begins, ends, links),
             )
             self.levels.append((first, nodes))
             inner_counts.append(np.array(inner.numpy()))
@@ -190,15 +194,18 @@ class HostBoxTree(BoxTree):
         lows: Lower corners of N boxes, shape (N, 3), BVH after BVH.
         highs: Upper corners of the boxes, shape (N, 3).
         counts: Number of boxes of each BVH.
+        leaf: Largest number of boxes in a leaf.
     """
 
-    def __init__(self, launcher: Launcher, lows: Doubles, highs: Doubles, counts: npt.NDArray[np.int64]) -> None:
-        super().__init__(launcher)
+    def __init__(
+        self, launcher: Launcher, lows: Doubles, highs: Doubles, counts: npt.NDArray[np.int64], leaf: int = 1
+    ) -> None:
+        super().__init__(launcher, leaf)
         scratch = Buffers(launcher.device)
         self.order = np.arange(len(lows), dtype=np.int32)
-        """Index of the box of each leaf, in the order of the BVHs' leaves."""
+        """Index of each box, in the order of the BVHs' leaves."""
         self.items = self._buffers.upload("items", wp.int32, self.order)
-        """Copy of ``order`` on the device: index of the box of each leaf."""
+        """Copy of ``order`` on the device."""
         if launcher.is_parallel:
             self.order, codes = coded_order(lows, highs, counts)
             self.items.assign(self.order)
@@ -208,6 +215,8 @@ class HostBoxTree(BoxTree):
             split = self.by_area(upload_boxes(scratch, lows, highs), self.items)
         self.link(scratch, counts, split)
         self.order = np.array(self.items.numpy())
+        self.firsts = self._number_leaves()
+        """Index in ``order`` of the first box of each leaf."""
         ranges = (scratch.get(name, wp.int32, len(counts) + int(counts.sum())) for name in ("begins", "ends"))
         self._edges = np.stack([edges.numpy()[: len(self.nodes)] for edges in ranges], axis=1).ravel()
         """Index of the first leaf of each node, and index after its last leaf, in turns."""
@@ -217,7 +226,23 @@ class HostBoxTree(BoxTree):
     def refit(self, lows: Doubles, highs: Doubles) -> None:
         """Sets new boxes; number and order must be as when the BVHs were built."""
         self._lows, self._highs = lows[self.order], highs[self.order]
-        self.fit(upload_boxes(self._buffers, self._lows, self._highs))
+        low = np.minimum.reduceat(self._lows, self.firsts)
+        high = np.maximum.reduceat(self._highs, self.firsts)
+        self.fit(upload_boxes(self._buffers, low, high))
+
+    def _number_leaves(self) -> npt.NDArray[np.int32]:
+        """Lets links to leaves be ``~number``, counted in the order of the leaves, instead of ``~index`` of a box.
+
+        Returns:
+            Index of the first box of each leaf.
+        """
+        nodes = self.nodes.numpy()
+        links = nodes["link"]
+        firsts = np.sort(~links[links < 0])
+        if self._leaf > 1:
+            links[links < 0] = ~np.searchsorted(firsts, ~links[links < 0]).astype(np.int32)
+            self.nodes.assign(nodes)
+        return firsts
 
     @property
     def cost(self) -> float:

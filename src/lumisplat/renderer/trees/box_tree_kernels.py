@@ -164,15 +164,15 @@ def range_area(boxes: wp.array[Box], begin: int, end: int) -> float:
 
 
 @wp.func
-def edges_by_area(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, by_area: int) -> Edges:
+def edges_by_area(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, by_area: int, leaf: int) -> Edges:
     """Splits a range of items into up to eight children, and returns the first item of each; `split_by_area` has more.
 
-    ``boxes`` and ``items`` are reordered child by child.
+    ``boxes`` and ``items`` are reordered child by child. Children of up to ``leaf`` items are not split.
     """
     edges = Edges(end)
     edges[0] = begin
     used = int(1)
-    if end - begin <= WIDTH:
+    if leaf == 1 and end - begin <= WIDTH:
         used = end - begin
         for i in range(used):
             edges[i] = begin + i
@@ -182,7 +182,7 @@ def edges_by_area(boxes: wp.array[Box], items: wp.array[int], begin: int, end: i
         while used < WIDTH:
             largest = int(-1)
             for c in range(used):
-                if areas[c] >= 0.0 and edges[c + 1] - edges[c] > 1:
+                if areas[c] >= 0.0 and edges[c + 1] - edges[c] > leaf:
                     if largest < 0:
                         largest = c
                     elif areas[c] > areas[largest]:
@@ -206,11 +206,11 @@ def edges_by_area(boxes: wp.array[Box], items: wp.array[int], begin: int, end: i
 
 
 @wp.func
-def inner_children(edges: Edges) -> int:
-    """Returns how many children of a node have more than one item."""
+def inner_children(edges: Edges, leaf: int) -> int:
+    """Returns how many children of a node have more than ``leaf`` items, and are therefore nodes."""
     inner = int(0)
     for c in range(WIDTH):
-        if edges[c + 1] - edges[c] > 1:
+        if edges[c + 1] - edges[c] > leaf:
             inner += 1
     return inner
 
@@ -220,6 +220,7 @@ def split_by_area(
     start: int,
     node_first: int,
     by_area: int,
+    leaf: int,
     begins: wp.array[int],
     ends: wp.array[int],
     boxes_inout: wp.array[Box],
@@ -230,12 +231,12 @@ def split_by_area(
     """Per node of a level: splits its items into up to eight children; the child of largest area is split next.
 
     ``edges_out`` holds the first item of each child. Each split minimises the surface area heuristic. If ``by_area`` is
-    0, the child with the most items is split in the middle instead.
+    0, the child with the most items is split in the middle instead. Children of up to ``leaf`` items are leaves.
     """
     node = start + wp.tid()
-    edges = edges_by_area(boxes_inout, items_inout, begins[node_first + node], ends[node_first + node], by_area)
+    edges = edges_by_area(boxes_inout, items_inout, begins[node_first + node], ends[node_first + node], by_area, leaf)
     edges_out[node] = edges
-    inner_counts_out[node] = inner_children(edges)
+    inner_counts_out[node] = inner_children(edges, leaf)
 
 
 @wp.func
@@ -280,6 +281,7 @@ def split_by_code(
     start: int,
     node_first: int,
     by_area: int,
+    leaf: int,
     begins: wp.array[int],
     ends: wp.array[int],
     codes: wp.array[int],
@@ -297,11 +299,11 @@ def split_by_code(
     end = ends[node_first + node]
     edges = Edges()
     if end - begin <= AREA_ITEMS:
-        edges = edges_by_area(boxes_inout, items_inout, begin, end, by_area)
+        edges = edges_by_area(boxes_inout, items_inout, begin, end, by_area, leaf)
     else:
         edges = edges_by_code(codes, begin, end)
     edges_out[node] = edges
-    inner_counts_out[node] = inner_children(edges)
+    inner_counts_out[node] = inner_children(edges, leaf)
 
 
 @wp.kernel
@@ -309,6 +311,7 @@ def link_nodes(
     start: int,
     node_first: int,
     child_first: int,
+    leaf: int,
     edges: wp.array[Edges],
     inner_ends: wp.array[int],
     inner_counts: wp.array[int],
@@ -316,7 +319,10 @@ def link_nodes(
     ends_out: wp.array[int],
     links_out: wp.array[ChildLinks],
 ):
-    """Per node of a level: gives its inner children node indices, and writes the range of items of each child."""
+    """Per node of a level: gives its inner children node indices and the range of their items.
+
+    A leaf's link is ``~index`` of its first item.
+    """
     n = start + wp.tid()
     ranges = edges[n]
     child = child_first + inner_ends[n] - inner_counts[n]
@@ -324,12 +330,12 @@ def link_nodes(
     for c in range(WIDTH):
         begin = ranges[c]
         end = ranges[c + 1]
-        if end - begin > 1:
+        if end - begin > leaf:
             begins_out[child] = begin
             ends_out[child] = end
             links[c] = child
             child += 1
-        elif end - begin == 1:
+        elif end > begin:
             links[c] = ~begin
     links_out[node_first + n] = links
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import RAY_START_BACK, REBUILD_COST
-from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, TriangleBvh
+from lumisplat.constants import NODE_WIDTH, RAY_START_BACK, REBUILD_COST
+from lumisplat.device.structs.bvh import MeshBvh, TriangleBvh, TriangleLeaf
 from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.trees.box_tree import HostBoxTree
 from lumisplat.runtime.buffers import bytes_of
@@ -45,12 +45,16 @@ class TriangleTrees(HostBoxTree):
         margins = TRIANGLE_BOX_MARGIN * np.linalg.norm(self.corners[:, -1] - self.corners[:, 0], axis=1)
         around = np.repeat(margins, counts)[:, None]
         faces: Doubles = np.concatenate([mesh.positions[mesh.indices].astype(np.float64) for mesh in meshes])
-        super().__init__(launcher, faces.min(axis=1) - around, faces.max(axis=1) + around, counts)
-        table = np.zeros(len(faces), dtype=table_dtype(MeshTriangle))
-        for k, name in enumerate("abc"):
-            table[name] = faces[self.order, k]
-        table["face"] = self.order - np.repeat(np.cumsum(counts) - counts, counts)
-        self.triangles = self._buffers.upload("triangles", MeshTriangle, table)
+        super().__init__(launcher, faces.min(axis=1) - around, faces.max(axis=1) + around, counts, leaf=NODE_WIDTH)
+        numbers = self.order - np.repeat(np.cumsum(counts) - counts, counts)
+        lanes = self.firsts[:, None] + np.arange(NODE_WIDTH)
+        is_used = lanes < np.append(self.firsts[1:], len(faces))[:, None]
+        lanes[~is_used] = 0
+        table = np.zeros(len(lanes), dtype=table_dtype(TriangleLeaf))
+        for (k, corner), (axis, name) in itertools.product(enumerate("abc"), enumerate("xyz")):
+            table[f"{corner}_{name}"] = np.where(is_used, faces[self.order[lanes], k, axis], 0.0)
+        table["face"] = np.where(is_used, numbers[lanes], -1)
+        self.leaves = self._buffers.upload("leaves", TriangleLeaf, table)
 
 
 class MeshBvhScene:
@@ -121,7 +125,7 @@ class MeshBvhScene:
         rows: list[TriangleBvh] = []
         for trees in used:
             row = TriangleBvh()
-            row.nodes, row.triangles = trees.nodes, trees.triangles
+            row.nodes, row.leaves = trees.nodes, trees.leaves
             rows.append(row)
         self.data.assets = upload_structs(rows, TriangleBvh, self._launcher.device)
         self._trees = used
