@@ -10,7 +10,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from bench import ROOT
+from bench.gpu import training
 from bench.gpu.__main__ import SLICES
 from bench.gpu.report import Step, read_report, run_steps
 from bench.gpu.worker import Setting
@@ -67,6 +69,17 @@ def test_gpu_laboratory_runs_the_same_steps_on_a_cpu_as_on_a_gpu(tmp_path: Path)
         r"[\d.]+ ms, on the device [\d.]+ ms", text
     )
     assert "| machine | ok |" in (tmp_path / "gpu.md").read_text()
+
+
+def test_gpu_laboratory_trains_on_images_made_in_place_where_photographs_are_missing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The folder of the images exists until they have been read."""
+    monkeypatch.setattr(training, "FOX", tmp_path / "none")
+    monkeypatch.setattr(training, "FOX_SIZE", (160, 160))
+    monkeypatch.setattr(training, "MADE_VIEWS", 9)
+    (found,) = training.fox(Setting("cpu", [10], 32), "0.25")
+    assert found.name == "held out" and " dB in " in str(found.value)
 
 
 def test_every_step_of_the_gpu_laboratory_is_an_existing_function() -> None:
