@@ -165,8 +165,9 @@ class DeviceScene:
                     has_headlight=plan.has_headlight,
                     captures=self.captured_emitters.instances,
                 )
+            centered = camera_table(camera, CENTER)
             for table in (self.camera, self.splat_camera):
-                assign_table(table, camera_table(camera, CENTER))
+                assign_table(table, centered)
             if plan.is_sampled:
                 self._shading.sync(
                     scene,
