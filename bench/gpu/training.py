@@ -94,6 +94,9 @@ def trained(setting: Setting, images: ls.io.TrainingImages, subject: str, cap: i
     size = f"{camera.width} x {camera.height}, {cap:,} Gaussians, SH degree 2, {steps:,} iterations"
     psnr = f"{result.score.psnr:.1f} dB in {ended - begun:.0f} s"
     yield Finding("held out", psnr, figure=("training", f"{subject}, {size}, held out", psnr, "", ""))
+    taken = f"{result.seconds:.1f} s"
+    what = f"{subject}, {size}: time without loading and compilation"
+    yield Finding("time of iterations", taken, figure=("training", what, taken, "", ""))
     if early:
         rate = f"{(steps - early[0][0]) / (ended - early[0][1]):.0f}"
         row = ("training", f"{subject}, {size}: iterations per second after {EARLY_STEPS}", rate, "", "")

@@ -1,4 +1,7 @@
-"""Steady frames make as many calls of a GPU's driver as docs/guide/cuda.md says; CUDA's schedule runs on the CPU."""
+"""Steady frames and training steps make as many calls of a GPU's driver as docs/guide/cuda.md says.
+
+CUDA's schedule runs on the CPU.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,12 @@ from pathlib import Path
 import pytest
 
 import lumisplat as ls
+from lumisplat.training import trainer
 from support.compare.driver_calls import ALLOCATION, COPY, GRAPH, LAUNCH, READ, UPLOAD, driver_calls
 from support.compare.graph_launcher import GraphLauncher
 from support.scenes.lit_scene import ENVIRONMENT, LIGHTS, config, scene
 from support.scenes.raster_scenes import similarity
+from support.scenes.training_scenes import BACKGROUND, views
 
 PAGE = Path(__file__).parents[2] / "docs/guide/cuda.md"
 WARM_FRAMES = 7
@@ -86,8 +91,34 @@ def calls_of_steady_frame(
     return counts
 
 
+TRAINING = ls.TrainConfig(iterations=70, cap=100, initial=100, sh_degree=1)
+SURFACES = replace(TRAINING, normals=0.05, flatness=0.3, depth_spread=0.3, normal_smoothness=0.01)
+STEPS = {
+    "training step": TRAINING,
+    "training step, adaptive": replace(TRAINING, densification=ls.config.Densification.ADAPTIVE),
+    "training step, surface terms": SURFACES,
+    "training step, `UNSCENTED`": replace(TRAINING, projection=ls.config.Projection.UNSCENTED),
+    "training step, exposures and poses": replace(TRAINING, exposures=True, refine_poses=True),
+    "training step, `TRACE`": replace(TRAINING, pipeline=TRACE),
+}
+WARM_STEPS = 40
+"""Steps until all terms of the loss are active and a step with them is recorded."""
+
+
+def calls_of_steady_step(settings: ls.TrainConfig, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Returns the driver calls of a training step for which everything is allocated and recorded, by kind."""
+    launcher = GraphLauncher()
+    monkeypatch.setattr(trainer, "Launcher", lambda *_: launcher)
+    training = trainer.Trainer(views(8), settings, background=BACKGROUND, device="cpu")
+    for _ in range(WARM_STEPS):
+        training.step()
+    with driver_calls() as counts:
+        training.step()
+    return counts
+
+
 def documented() -> dict[str, list[int]]:
-    """Returns the numbers in the page's table of calls, by frame."""
+    """Returns the numbers in the page's tables of calls, by frame or step."""
     rows = re.findall(r"^\| (.+?) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", PAGE.read_text(), re.MULTILINE)
     return {name: [int(number) for number in numbers] for name, *numbers in rows}
 
@@ -100,6 +131,16 @@ def test_steady_frame_makes_the_driver_calls_that_the_page_on_cuda_lists(name: s
     assert counts[ALLOCATION] == 0
 
 
-def test_page_on_cuda_lists_the_driver_calls_of_no_other_frame() -> None:
+@pytest.mark.parametrize("name", STEPS)
+def test_steady_training_step_makes_the_driver_calls_that_the_page_on_cuda_lists(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A steady step allocates nothing, although image, camera and rates change."""
+    counts = calls_of_steady_step(STEPS[name], monkeypatch)
+    assert documented()[name] == [counts[kind] for kind in (GRAPH, LAUNCH, UPLOAD, COPY, READ)]
+    assert counts[ALLOCATION] == 0
+
+
+def test_page_on_cuda_lists_the_driver_calls_of_no_other_frame_or_step() -> None:
     """Rows without a test would become wrong unnoticed."""
-    assert documented().keys() == FRAMES.keys()
+    assert documented().keys() == {*FRAMES, *STEPS}

@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import StepInput, TargetPixels, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 from support.scenes.training_scenes import cameras, known_gaussians
 
 BLACK = (0.0, 0.0, 0.0)
@@ -58,20 +58,17 @@ def test_random_training_backgrounds_depend_on_seed_and_iteration() -> None:
     clear = replace(clear, read=lambda: TargetPixels(over, None, alpha), background=behind)
     solid = replace(solid, read=lambda: TargetPixels(over), background=behind)
     one, two = (Trainer([clear], config, background=behind, device="cpu") for _ in range(2))
-    seen: list[StepInput] = []
+    seen: list[tuple[TargetPixels, tuple[float, float, float]]] = []
     for one.iteration in range(5):
-        seen.append(one._next_input())
-    other = Trainer([solid], config, background=behind, device="cpu")._next_input()
-    assert other.background == behind and (other.image.color == over).all()
+        seen.append(one._image_of(0))
+    image, background = Trainer([solid], config, background=behind, device="cpu")._image_of(0)
+    assert background == behind and (image.color == over).all()
     two.iteration = one.iteration
-    assert two._next_input().background == seen[-1].background
-    assert len({step_input.background for step_input in seen}) == 5
-    for step_input in seen:
-        expected = (1.0 - alpha)[..., None] * np.array(step_input.background)
-        np.testing.assert_allclose(step_input.image.color, expected, atol=1e-6)
-    assert (
-        Trainer([clear], replace(config, seed=1), device="cpu")._next_input().background != two._next_input().background
-    )
+    assert two._image_of(0)[1] == seen[-1][1]
+    assert len({background for _, background in seen}) == 5
+    for image, background in seen:
+        np.testing.assert_allclose(image.color, (1.0 - alpha)[..., None] * np.array(background), atol=1e-6)
+    assert Trainer([clear], replace(config, seed=1), device="cpu")._image_of(0)[1] != two._image_of(0)[1]
 
 
 def test_downscaled_training_images_exclude_colours_of_masked_pixels() -> None:

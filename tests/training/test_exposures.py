@@ -39,9 +39,11 @@ def test_training_gradients_for_exposures_colours_and_alphas_match_central_diffe
     pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
     pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))
     loss = ImageLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
-    frame = ExposedFrame(launcher, buffers, exposure, BACKGROUND)
-    found, gradient = loss.differentiate(SIZE, frame.apply(pixels), loss.load(*wanted))
-    gradient, by_exposure = frame.backward(pixels, gradient)
+    frame = ExposedFrame(launcher, buffers)
+    frame.begin(exposure, BACKGROUND)
+    gradient = loss.differentiate(SIZE, frame.apply(pixels), loss.load(*wanted))
+    gradient = frame.backward(pixels, gradient)
+    found, by_exposure = loss.read(SIZE), frame.by_exposure()
     arrays = gradient.color, gradient.alpha
     by_color, by_alpha = (np.array(array.numpy()) for array in arrays)  # pyright: ignore[reportUnknownMemberType]
 

@@ -40,10 +40,10 @@ def differentiate(
     pixels = PixelData()
     pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
     pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))
-    found, gradient = loss.differentiate(size, pixels, loss.load(*wanted))
+    gradient = loss.differentiate(size, pixels, loss.load(*wanted))
     arrays = gradient.color, gradient.alpha
     by_color, by_alpha = (np.array(array.numpy()) for array in arrays)  # pyright: ignore[reportUnknownMemberType]
-    return found, by_color.reshape(color.shape), by_alpha.reshape(alpha.shape)
+    return loss.read(size), by_color.reshape(color.shape), by_alpha.reshape(alpha.shape)
 
 
 def blurred(values: np.ndarray) -> np.ndarray:

@@ -59,7 +59,7 @@ def started(**settings: Any) -> Trainer:
 
 def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
     """Returns the sum of the surface terms for the first view, and its gradient with respect to the Gaussians."""
-    camera, picture = one._views[0].downscaled(0)
+    camera, picture = one._views[0].camera, one._views[0].read()
     target = one._loss.load(picture.color, picture.weight, None)
     pixels = one._backend.draw(camera, 0, (0.0, 0.0, 0.0))
     count = SIZE[0] * SIZE[1]
@@ -69,7 +69,8 @@ def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
     total, raster = 0.0, one._backend
     assert isinstance(raster, TrainingRaster)
     if one._surfaces is not None:
-        maps = raster.compare_surfaces(one._surfaces, pixels, target, weight_sum=one._loss.weight_sum, gradient=nothing)
+        one._surfaces.begin(one._loss.weight_sum)
+        maps = raster.compare_surfaces(one._surfaces, pixels, target, nothing)
         total = float(np.asarray(maps.terms.numpy(), np.float64).sum())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
         if one._surfaces.smoothness is not None:
             terms: Any = one._surfaces.smoothness.terms
@@ -101,7 +102,7 @@ def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
         one: Trainer with the settings, the image and its camera.
         normals: Index of the first normal channel.
     """
-    camera, picture = one._views[0].downscaled(0)
+    camera, picture = one._views[0].camera, one._views[0].read()
     none = np.zeros((SIZE[1], SIZE[0], 3))
     scene_scale = {"middle": one.scene_scale.distance, "extent": one.scene_scale.extent}
     sums, clear = Sums(camera, none, none[..., 0], False, by_features=np.zeros((1, 1, 4)), **scene_scale).sums(p)

@@ -22,7 +22,7 @@ class SplatParameters:
 
 @struct
 class StepRates:
-    """Learning rates and other factors of one Adam step (Kingma and Ba 2015)."""
+    """What changes from step to step in the update of Gaussians: rates of Adam (Kingma and Ba 2015), and the noise."""
 
     means: float
     rotations: float
@@ -40,16 +40,11 @@ class StepRates:
     """Gradient that the opacity regulariser adds to each Gaussian's opacity; ``by_scale`` is added to scales by the
     scale regulariser."""
     by_scale: float
-
-
-@struct
-class NoiseData:
-    """Settings of the random noise that training adds to positions, for exploration (Kheradmand et al. 2024, eq. 9)."""
-
-    strength: float
-    """Factor of the noise, a standard normal vector times the covariance; opaque Gaussians get almost none."""
+    noise: float
+    """Factor of the random noise that MCMC adds to positions, a standard normal vector times the covariance (Kheradmand
+    et al. 2024, eq. 9); opaque Gaussians get almost none."""
     iteration: int
-    seed: wp.uint32
+    """Number of completed iterations, a key of the random numbers."""
 
 
 @struct
@@ -65,6 +60,8 @@ class SplatRecord:
     Each term is multiplied by the summed pixel weights of the loss, so that it does not depend on the image size."""
     frames: wp.array[float]
     """Number of frames since the last densification step that showed the Gaussian."""
+    stopped: wp.array[int]
+    """Flag, one element: not 0 after a step that must be repeated; statistics and parameters then stay as they are."""
 
 
 @struct
@@ -105,6 +102,9 @@ class SurfaceTerms:
 
     normals: float
     depth: float
+    smooth: float
+    weight_sum: float
+    """Sum of the pixel weights."""
     middle: float
     """View depth, scene units, at which the encoded depth ``(depth - middle) * per_unit`` is 0."""
     per_unit: float

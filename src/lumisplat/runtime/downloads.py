@@ -123,6 +123,31 @@ class HostCopy:
         cast(Any, wp).copy(self._host, self.source)
 
 
+class HostHistory:
+    """Latest copies of small float arrays in page-locked host memory, which the host reads long after they were made.
+
+    Args:
+        device: Warp device name.
+        length: Number of copies that are kept.
+        words: Largest size of an array.
+    """
+
+    def __init__(self, device: str, length: int, words: int) -> None:
+        self.length, self._words = length, words
+        pinned = device != "cpu"  # without a GPU there is no page-locked memory
+        self._host = cast(Any, wp).zeros(length * words, dtype=wp.float32, device="cpu", pinned=pinned)
+        self.values: npt.NDArray[np.float32] = self._host.numpy().reshape(length, words)
+        """Copies as they are now, in the order of their numbers modulo ``length``; zeros before the first."""
+
+    def add(self, number: int, source: DeviceArray) -> None:
+        """Copies an array once the device has run what was launched before, in place of copy ``number - length``."""
+        cast(Any, wp).copy(self._host, source, dest_offset=number % self.length * self._words, count=source.size)
+
+    def __getitem__(self, number: int) -> npt.NDArray[np.float32]:
+        """Returns copy ``number`` as it is now; if the device has not made it yet, it is that of an earlier number."""
+        return self.values[number % self.length]
+
+
 class Awaited:
     """Number that the device is still computing; a call waits for it, once.
 

@@ -23,6 +23,7 @@ from typing import Any, TypeVar, cast
 import warp as wp
 
 from lumisplat.errors import ConfigError, DeviceError, StoppedError
+from lumisplat.memory import usable_memory
 from lumisplat.progress import Progress
 from lumisplat.runtime.buffers import DeviceArray, grown_capacity
 from lumisplat.runtime.kernel_cache import KernelModule, load_module, warp_module_of
@@ -411,6 +412,12 @@ class Launcher:
         threads = block_threads(warp_module) if has_blocks or self.is_cuda else 1
         with _blocks_on_cpus() if has_blocks else nullcontext():
             load_module(module, self.device, threads)
+
+    @property
+    def free_memory(self) -> int:
+        """Device memory in bytes that is free."""
+        device: Any = wp.get_device(self.device)
+        return int(device.free_memory) if device.is_cuda else usable_memory() or 0
 
     def mark(self) -> Callable[[], None]:
         """Returns a function that waits until the device has run all that was launched before this call."""

@@ -7,6 +7,8 @@ along camera rays.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,11 +25,11 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.film import picture_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.gradients.features import FeatureChannels
-from lumisplat.renderer.gradients.pose import pose_gradient, pose_of_rays_gradient
+from lumisplat.renderer.gradients.pose import PoseSums, pose_gradient, pose_of_rays_gradient
 from lumisplat.renderer.gradients.ray_backward import RayBackward, RaySums
 from lumisplat.renderer.gradients.splat_backward import SplatBackward
 from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward
-from lumisplat.renderer.raster.binning import binning_of, pair_starts
+from lumisplat.renderer.raster.binning import Binning, binning_of, pair_starts
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.splat_raster import SplatRaster, raster_table
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
@@ -39,7 +41,7 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.kernel_cache import KernelModule
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import Launcher, Result
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
@@ -47,11 +49,20 @@ from lumisplat.training import optimizer_kernels, surface_kernels, weight_kernel
 from lumisplat.training.losses import SurfaceLoss
 
 
-class _Backend:
-    """Base class of the training backends, which render one trained Gaussian set and differentiate the frame."""
+class _Backend(ABC):
+    """Base class of the training backends, which render one trained Gaussian set and differentiate the frame.
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
-        self._launcher, self._buffers, self._config = launcher, buffers, config
+    Args:
+        launcher: Runs the kernels.
+        buffers: Owner of the device arrays.
+        config: Settings of unlit frames.
+        binning: Lists the Gaussians per tile; None if the backend has no such lists.
+    """
+
+    def __init__(
+        self, launcher: Launcher, buffers: Buffers, config: RenderConfig, binning: Binning | None = None
+    ) -> None:
+        self._launcher, self._buffers, self._config, self._binning = launcher, buffers, config, binning
         self._scene = DeviceScene(launcher, buffers, config)
         self._synced_for: tuple[Gaussians, int, RenderConfig] | None = None
         self._synced: tuple[Scene, FramePlan]
@@ -67,13 +78,59 @@ class _Backend:
         """
         self._gaussians, self._parameters = gaussians, parameters
 
+    def begin(self, camera: Camera, sh_degree: int, background: Color) -> None:
+        """Uploads what changes between frames; the next ``launch`` draws with it.
+
+        Args:
+            camera: A camera that the backend can draw.
+            sh_degree: SH degree of the colours.
+            background: Display-referred sRGB behind the Gaussians.
+        """
+        self._background = background
+        self._sync(camera, sh_degree)
+        data, parameters = self.data, self._parameters
+        if data.means is not parameters.means or data.sh is not parameters.sh:  # shared without copies
+            data.means, data.sh = parameters.means, parameters.sh
+
+    @abstractmethod
+    def launch(self) -> PixelData:
+        """Draws the frame that ``begin`` has prepared; its pixels are incomplete if ``finish`` then returns False."""
+
+    def finish(self) -> bool:
+        """Waits for the frame; False if a list of Gaussians was too short: it is longer in the next ``launch``."""
+        return self._binning is None or self._binning.finish()
+
+    @property
+    def lengths(self) -> tuple[DeviceArray, DeviceArray]:
+        """Lengths of the frame's lists on the device, and their limits: `Binning.totals` and `Binning.limits`."""
+        binning = self._binning
+        none = self._buffers.get("backend.no_lists", wp.int64, 0)
+        return (none, none) if binning is None else (binning.totals, binning.limits)
+
+    def replay(self, name: str, key: object, work: Callable[[], Result]) -> Result:
+        """Runs ``work``, which contains ``launch``, by `Launcher.replay`; directly if the backend reads meanwhile.
+
+        ``key`` has the values that change what ``work`` launches, besides scene and lists.
+        """
+        if self._binning is None:
+            return work()
+        return self._launcher.replay(name, (self._scene.graph_key, self._binning.growth, key), work)
+
+    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
+        """Renders colour and alpha of a frame and returns its pixels; the arguments are those of ``begin``."""
+        self.begin(camera, sh_degree, background)
+        pixels = self.replay("frame", None, self.launch)
+        while not self.finish():
+            pixels = self.replay("frame", None, self.launch)
+        return pixels
+
     @property
     def data(self) -> GaussianData:
         """Gaussians of the backend's scene on the device; available after the first frame."""
         return self._scene.assets[0].data
 
-    def _sync(self, camera: Camera, sh_degree: int) -> Scene:
-        """Uploads the scene and the camera of a frame, and returns the scene."""
+    def _sync(self, camera: Camera, sh_degree: int) -> None:
+        """Uploads the scene and the camera of a frame."""
         key = self._gaussians, sh_degree, self._config
         if self._synced_for != key:
             scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
@@ -81,18 +138,13 @@ class _Backend:
         scene, plan = self._synced
         self._launcher.stage_ms = {}
         self._scene.sync(scene, camera, plan)
-        return scene
-
-    def _alias_parameters(self) -> None:
-        """Lets the scene's Gaussians share the means and SH coefficients of the trained parameters, without copies."""
-        self.data.means, self.data.sh = self._parameters.means, self._parameters.sh
 
     def _activate(self) -> None:
         self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._parameters, self.data)
 
-    def _pixels_of_rays(self, count: int, hits: GaussianHits, background: Color) -> PixelData:
+    def _pixels_of_rays(self, count: int, hits: GaussianHits) -> PixelData:
         pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
-        inputs = (*self._scene.image_size, wp.vec3(*background), hits, pixels)
+        inputs = (*self._scene.image_size, wp.vec3(*self._background), hits, pixels)
         self._launcher.run_banded(picture_kernels.store_ray_colors, count, *inputs)
         return pixels
 
@@ -107,8 +159,8 @@ class TrainingRaster(_Backend):
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
-        super().__init__(launcher, buffers, config)
         binning = binning_of(launcher, buffers)
+        super().__init__(launcher, buffers, config, binning)
         meshes = MeshRaster(launcher, buffers, binning)
         self._splats = SplatRaster(launcher, buffers, config, binning)
         self._unlit = UnlitRaster(
@@ -117,46 +169,33 @@ class TrainingRaster(_Backend):
         self._backward = SplatBackward(launcher, buffers)
         self.by_splat: DeviceArray
         """Gradient with respect to the splats of the last frame, ``SplatGradient``; written by ``backward``."""
+        self._pose_rows: DeviceArray
 
     def modules(self) -> list[KernelModule]:
         """Kernel modules that ``draw`` and ``backward`` launch."""
         return [*self._unlit.modules(has_meshes=False), *self._backward.modules()]
 
-    def bind(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
-        """Sets the Gaussians that later frames draw, as `_Backend.bind`.
-
-        The rasteriser reads no table of Gaussian sets, so `_alias_parameters` runs once per ``bind``, in the next
-        frame.
-        """
-        super().bind(gaussians, parameters)
-        self._is_bound = True
-
-    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
-        """Renders a frame and returns its pixels.
-
-        Args:
-            camera: A pinhole camera.
-            sh_degree: SH degree of the colours.
-            background: Display-referred sRGB behind the Gaussians.
-        """
+    def begin(self, camera: Camera, sh_degree: int, background: Color) -> None:
+        """Uploads what changes between frames, as `_Backend.begin`; ``camera`` is a pinhole."""
         if background != self._config.background:
             self._config = replace(self._config, background=background)
             assign_table(self._splats.settings, raster_table(self._config))
-        self._sync(camera, sh_degree)
-        if self._is_bound:
-            self._alias_parameters()
-            self._is_bound = False
+        super().begin(camera, sh_degree, background)
+
+    def launch(self) -> PixelData:
+        """Draws a frame, as `_Backend.launch`."""
         self._activate()
-        return self._unlit.draw(self._scene).data
+        self._unlit.launch(self._scene)
+        return PixelBuffers.of(self._buffers, self._scene.image_size).data
 
     def compare_surfaces(
-        self, surfaces: SurfaceLoss, pixels: PixelData, target: TargetImage, weight_sum: float, gradient: PixelGradient
+        self, surfaces: SurfaceLoss, pixels: PixelData, target: TargetImage, gradient: PixelGradient
     ) -> SurfaceMaps:
         """Evaluates the depth, normal and smoothness terms of the loss on the last frame.
 
         Arguments and result are those of `SurfaceLoss.differentiate`.
         """
-        return surfaces.differentiate(self._scene, self.drawn, pixels, target, weight_sum=weight_sum, gradient=gradient)
+        return surfaces.differentiate(self._scene, self.drawn, pixels, target, gradient)
 
     def backward(
         self,
@@ -215,22 +254,25 @@ class TrainingRaster(_Backend):
             largest: Largest weight of each of N Gaussians in earlier frames, shape (N,); updated in place.
         """
         run, drawn, tiles = self._launcher.run_banded, self.drawn, math.prod(self._scene.tile_grid)
-        starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects)
+        starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects, drawn.tiles.starts)
         pairs = self._buffers.get("weights.pairs", wp.float32, drawn.tiles.items.shape[0])
         lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
         run(weight_kernels.find_largest_weights, tiles, self._scene.camera, drawn.settings, *lists, drawn.meshes, pairs)
         run(weight_kernels.reduce_largest, drawn.splats.count, starts, pairs, largest)
 
+    def sum_pose(self) -> None:
+        """Launches what ``by_pose`` needs besides ``backward``."""
+        self._pose_rows = self._backward.pose(self._scene, self.drawn, self.by_splat, 0)
+
     def by_pose(self, camera: Camera) -> Doubles:
         """Returns the gradient of the loss with respect to the upper rows of ``camera_from_world``, shape (3, 4).
 
-        Requires a preceding call of ``backward``.
+        Requires preceding calls of ``backward`` and ``sum_pose``.
 
         Args:
             camera: Camera of the last frame.
         """
-        sums = self._backward.pose(self._scene, self.drawn, self.by_splat, 0)
-        return pose_gradient(sums, SplatInstance(self._gaussians), camera)
+        return pose_gradient(PoseSums.of(self._pose_rows), SplatInstance(self._gaussians), camera)
 
     @property
     def drawn(self) -> DrawnSplats:
@@ -262,22 +304,14 @@ class TrainingRays(_Backend):
         modules = [*self._tracer.modules(plan), *self._rays.modules(), *self._scene.modules(plan)]
         return [*modules, picture_kernels.RAYS, *self._backward.modules()]
 
-    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
-        """Renders colour and alpha of a frame and returns its pixels.
-
-        Args:
-            camera: A camera of any model.
-            sh_degree: SH degree of the colours.
-            background: Display-referred sRGB behind the Gaussians.
-        """
-        scene = self._sync(camera, sh_degree)
-        self._alias_parameters()
+    def launch(self) -> PixelData:
+        """Draws a frame, as `_Backend.launch`."""
         self._activate()
         with self._launcher.stage("refit"):
-            self._scene.bvh.refit(scene)
+            self._scene.bvh.refit(self._synced[0])
         self._scene.begin_sample(0)
         self._hits = self._tracer.find_hits(self._scene, self._rays.start(self._scene), "camera")
-        return self._pixels_of_rays(self._hits.count, self._hits.gaussians, background)
+        return self._pixels_of_rays(self._hits.count, self._hits.gaussians)
 
     def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
         """Returns the gradient with respect to the Gaussians of the last frame, as `TrainingRaster.backward`."""
@@ -308,10 +342,10 @@ class TrainingUnscented(_Backend):
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
-        super().__init__(launcher, buffers, config)
-        self._binning = binning_of(launcher, buffers)
+        binning = binning_of(launcher, buffers)
+        super().__init__(launcher, buffers, config, binning)
         self._rays = CameraRays(launcher, buffers)
-        self._raster = UnscentedRaster(launcher, buffers, config, self._binning)
+        self._raster = UnscentedRaster(launcher, buffers, config, binning)
         self._backward = UnscentedBackward(launcher, buffers)
 
     def modules(self) -> list[KernelModule]:
@@ -319,24 +353,22 @@ class TrainingUnscented(_Backend):
         modules = self._raster.modules(FramePlan.of(self._config, Scene()))
         return [*modules, *self._rays.modules(), picture_kernels.RAYS, *self._backward.modules()]
 
-    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
-        """Renders colour and alpha of a frame and returns its pixels.
-
-        Args:
-            camera: A camera with any lens or a rolling shutter, but without an aperture.
-            sh_degree: SH degree of the colours.
-            background: Display-referred sRGB behind the Gaussians.
-        """
-        self._sync(camera, sh_degree)
+    def begin(self, camera: Camera, sh_degree: int, background: Color) -> None:
+        """Uploads what changes between frames, as `_Backend.begin`; ``camera`` has no aperture."""
+        super().begin(camera, sh_degree, background)
         self._raster.begin_frame(camera)
-        self._alias_parameters()
-        self._activate()
         self._scene.begin_sample(0)
+
+    def replay(self, name: str, key: object, work: Callable[[], Result]) -> Result:
+        """Runs ``work`` as `_Backend.replay`; a recorded graph contains the background."""
+        return super().replay(name, (key, self._background), work)
+
+    def launch(self) -> PixelData:
+        """Draws a frame, as `_Backend.launch`."""
+        self._activate()
         rays = self._rays.start(self._scene)
         self._raster.find_hits(self._scene, rays)
-        while not self._binning.finish():
-            self._raster.find_hits(self._scene, rays)
-        return self._pixels_of_rays(len(rays.t_max), self._last_hits.hits, background)
+        return self._pixels_of_rays(len(rays.t_max), self._last_hits.hits)
 
     def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
         """Returns the gradient with respect to the Gaussians of the last frame, as `TrainingRaster.backward`."""
@@ -346,7 +378,7 @@ class TrainingUnscented(_Backend):
     def add_largest_weights(self, largest: DeviceArray) -> None:
         """Updates the largest blending weights with the last frame, as `TrainingRaster.add_largest_weights`."""
         run, hits, tiles = self._launcher.run_banded, self._last_hits, math.prod(self._scene.tile_grid)
-        starts = pair_starts(self._launcher, self._buffers, hits.splats.rects)
+        starts = pair_starts(self._launcher, self._buffers, hits.splats.rects, hits.tiles.starts)
         pairs = self._buffers.get("weights.pairs", wp.float32, hits.tiles.items.shape[0])
         lists = (
             hits.splats.data,

@@ -16,7 +16,7 @@ from lumisplat.errors import SceneError
 from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import cross_matrix, rigid_from_twist, twist_from_rigid
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.training import exposure_kernels as kernels
@@ -70,15 +70,25 @@ class ExposedFrame:
     Args:
         launcher: Runs the kernels.
         buffers: Owner of the device arrays.
-        exposure: Exposure of the image, shape (3, 4).
-        background: Display-referred sRGB behind the Gaussians, which exposure does not change.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, exposure: Doubles, background: Sequence[float]) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._exposure = Exposure()
-        self._exposure.matrix = wp.mat33(*exposure[:, :3].astype(float).reshape(-1))
-        self._exposure.offset, self._exposure.background = wp.vec3(*exposure[:, 3]), wp.vec3(*background)
+        self._exposure: DeviceArray
+        """``Exposure`` of the current image, an array with one element."""
+        self._sums: tuple[DeviceArray, DeviceArray]
+
+    def begin(self, exposure: Doubles, background: Sequence[float]) -> None:
+        """Uploads the exposure of an image.
+
+        Args:
+            exposure: Exposure of the image, shape (3, 4).
+            background: Display-referred sRGB behind the Gaussians, which exposure does not change.
+        """
+        row = Exposure()
+        row.matrix = wp.mat33(*exposure[:, :3].astype(float).reshape(-1))
+        row.offset, row.background = wp.vec3(*exposure[:, 3]), wp.vec3(*background)
+        self._exposure = self._buffers.table("exposed.exposure", Exposure, [row])
 
     def apply(self, pixels: PixelData) -> PixelData:
         """Returns a copy of a frame's pixels with the exposure applied."""
@@ -87,8 +97,8 @@ class ExposedFrame:
         self._launcher.run_banded(kernels.expose, count, self._exposure, pixels, exposed.color)
         return exposed
 
-    def backward(self, pixels: PixelData, by_exposed: PixelGradient) -> tuple[PixelGradient, Doubles]:
-        """Returns the gradients with respect to the pixels before exposure, and to the exposure, shape (3, 4).
+    def backward(self, pixels: PixelData, by_exposed: PixelGradient) -> PixelGradient:
+        """Returns the gradient with respect to the pixels before exposure. It only launches kernels.
 
         Args:
             pixels: Pixels of the frame before exposure.
@@ -101,11 +111,15 @@ class ExposedFrame:
             get("exposed.by_color", wp.vec3, count),
             get("exposed.by_alpha", wp.float32, count),
         )
-        sums = get("exposed.by_matrix", wp.mat33, chunks), get("exposed.by_offset", wp.vec3, chunks)
+        self._sums = get("exposed.by_matrix", wp.mat33, chunks), get("exposed.by_offset", wp.vec3, chunks)
         inputs = (self._exposure, pixels, by_exposed, by_pixels)
-        self._launcher.run_banded(kernels.differentiate_chunks, chunks, *inputs, *sums)
-        by_matrix, by_offset = (rows.numpy().sum(axis=0, dtype=np.float64) for rows in sums)
-        return by_pixels, np.column_stack([by_matrix, by_offset])
+        self._launcher.run_banded(kernels.differentiate_chunks, chunks, *inputs, *self._sums)
+        return by_pixels
+
+    def by_exposure(self) -> Doubles:
+        """Waits for ``backward``, and returns the gradient with respect to the exposure, shape (3, 4)."""
+        by_matrix, by_offset = (rows.numpy().sum(axis=0, dtype=np.float64) for rows in self._sums)
+        return np.column_stack([by_matrix, by_offset])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,9 +23,10 @@ def gaussian_color(pixels: PixelData, exposure: Exposure, i: int) -> wp.vec3:
 
 
 @wp.kernel
-def expose(start: int, exposure: Exposure, pixels: PixelData, color_out: wp.array[wp.vec3]):
+def expose(start: int, exposures: wp.array[Exposure], pixels: PixelData, color_out: wp.array[wp.vec3]):
     """Applies the exposure to the Gaussians' colour and adds the unchanged background. One thread per pixel."""
     i = start + wp.tid()
+    exposure = exposures[0]
     alpha = pixels.alpha[i]
     exposed = exposure.matrix * gaussian_color(pixels, exposure, i) + alpha * exposure.offset
     color_out[i] = exposed + (1.0 - alpha) * exposure.background
@@ -34,7 +35,7 @@ def expose(start: int, exposure: Exposure, pixels: PixelData, color_out: wp.arra
 @wp.kernel
 def differentiate_chunks(
     start: int,
-    exposure: Exposure,
+    exposures: wp.array[Exposure],
     pixels: PixelData,
     by_exposed: PixelGradient,
     by_pixels_out: PixelGradient,
@@ -43,6 +44,7 @@ def differentiate_chunks(
 ):
     """Writes the gradient of each pixel before exposure, and a chunk's sum for the exposure. One thread per chunk."""
     chunk = start + wp.tid()
+    exposure = exposures[0]
     by_matrix = wp.mat33(0.0)
     by_offset = wp.vec3(0.0)
     from_exposed = wp.transpose(exposure.matrix)

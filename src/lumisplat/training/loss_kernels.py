@@ -173,7 +173,7 @@ def spread_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps):
 def differentiate_rows(
     start: int,
     grid: LossGrid,
-    weights: LossWeights,
+    loss_weights: wp.array[LossWeights],
     color: wp.array[wp.vec3],
     alpha: wp.array[float],
     target: TargetImage,
@@ -190,6 +190,7 @@ def differentiate_rows(
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
     width = grid.width
+    weights = loss_weights[0]
     sums = wp.vec4(0.0)
     for x in range(left, right):
         by_mean = wp.vec3(0.0)
@@ -228,10 +229,12 @@ def add_rows(
     grid: LossGrid,
     ssim: wp.array[float],
     sums: wp.array[wp.vec4],
-    ssim_out: wp.array[float],
-    sums_out: wp.array[wp.vec4],
+    rows_out: wp.array[float],
 ):
-    """Adds the error sums of all pixel runs of a row to one sum per row. One thread per row."""
+    """Adds the error sums of all pixel runs of a row: SSIM, and the four of `differentiate_rows`. One thread per row.
+
+    A row's five sums are consecutive elements.
+    """
     y = start + wp.tid()
     runs = (grid.width + grid.run - 1) // grid.run
     total = float(0.0)
@@ -239,5 +242,6 @@ def add_rows(
     for i in range(y * runs, (y + 1) * runs):
         total += ssim[i]
         totals += sums[i]
-    ssim_out[y] = total
-    sums_out[y] = totals
+    rows_out[5 * y] = total
+    for k in range(4):
+        rows_out[5 * y + 1 + k] = totals[k]

@@ -28,9 +28,13 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.gradients.features import FeatureChannels, RenderedFeatures
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import copy_elements
 from lumisplat.training import loss_kernels, surface_kernels as kernels
+
+ROW_SUMS = 5
+"""Number of sums that the loss of a frame needs of each row of pixels: SSIM, L1, squares, alpha and entropy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +55,47 @@ class Loss:
     `ImageLoss`."""
 
 
+@dataclass(frozen=True, slots=True)
+class DeviceImage:
+    """A training image on the device."""
+
+    pixels: TargetImage
+    weight_sum: float
+    """Sum of the pixel weights."""
+
+    @classmethod
+    def of(
+        cls, buffers: Buffers, name: str, color: FloatArray, weight: FloatArray | None, alpha: FloatArray | None
+    ) -> DeviceImage:
+        """Uploads an image; the next call with the same name overwrites it.
+
+        Args:
+            buffers: Owner of the device arrays.
+            name: Prefix of the arrays' names.
+            color: Display-referred sRGB, 0..1, shape (H, W, 3).
+            weight: Weight of each pixel, 0..1, shape (H, W); None for 1 everywhere.
+            alpha: Target alpha of the frame, shape (H, W); None if unknown.
+        """
+        pixels, none = TargetImage(), np.zeros(0, np.float32)
+        pixels.color = buffers.upload(f"{name}.color", wp.vec3, color.reshape(-1, 3))
+        for field, values in (("weight", weight), ("alpha", alpha)):
+            array = none if values is None else np.ascontiguousarray(values.reshape(-1), np.float32)
+            setattr(pixels, field, buffers.upload(f"{name}.{field}", wp.float32, array))
+        weight_sum = color.shape[0] * color.shape[1] if weight is None else weight.sum(dtype=np.float64)
+        return cls(pixels, float(weight_sum) or 1.0)
+
+    def copied(self, buffers: Buffers, name: str) -> DeviceImage:
+        """Copies the image to other arrays on the device, named as by ``of``."""
+        pixels = TargetImage()
+        for field in ("color", "weight", "alpha"):
+            source = device_array(getattr(self.pixels, field))
+            copy = buffers.get(f"{name}.{field}", source.dtype, len(source))
+            if len(source):
+                copy_elements(source, copy, len(source))
+            setattr(pixels, field, copy)
+        return DeviceImage(pixels, self.weight_sum)
+
+
 class ImageLoss:
     """Loss between frames and training images.
 
@@ -69,35 +114,26 @@ class ImageLoss:
         self._ssim, self._alpha, self._entropy = ssim, alpha, entropy
         self.weight_sum = 1.0
         """Sum of the pixel weights of the loaded image."""
+        self._weights: DeviceArray
+        """``LossWeights`` of the loaded image, an array with one element."""
+        self.rows: DeviceArray
+        """Sums of the last frame's errors over each row of pixels, from which ``loss_of`` computes the loss."""
 
     def load(self, color: FloatArray, weight: FloatArray | None, alpha: FloatArray | None) -> TargetImage:
-        """Uploads an image; the next call overwrites the returned arrays.
+        """Uploads an image, with the arguments of `DeviceImage.of`; the next call overwrites the returned arrays."""
+        return self._loaded(DeviceImage.of(self._buffers, "target", color, weight, alpha))
 
-        Args:
-            color: Display-referred sRGB, 0..1, shape (H, W, 3).
-            weight: Weight of each pixel, 0..1, shape (H, W); None for 1 everywhere.
-            alpha: Target alpha of the frame, shape (H, W); None if unknown.
-        """
-        target = TargetImage()
-        self.weight_sum = (
-            float(color.shape[0] * color.shape[1] if weight is None else weight.sum(dtype=np.float64)) or 1.0
-        )
-        target.color = self._buffers.upload("target.color", wp.vec3, color.reshape(-1, 3))
-        none = np.zeros(0, np.float32)
-        for name, values in (("weight", weight), ("alpha", alpha)):
-            array = none if values is None else np.ascontiguousarray(values.reshape(-1), np.float32)
-            setattr(target, name, self._buffers.upload(f"target.{name}", wp.float32, array))
-        return target
+    def load_copy(self, image: DeviceImage) -> TargetImage:
+        """Copies an image that is on the device to the arrays of ``load``, which recorded graphs read."""
+        return self._loaded(image.copied(self._buffers, "target"))
 
-    def differentiate(
-        self, size: tuple[int, int], pixels: PixelData, target: TargetImage
-    ) -> tuple[Loss, PixelGradient]:
-        """Returns the loss of a frame and the loss's gradient with respect to the frame's pixels.
+    def differentiate(self, size: tuple[int, int], pixels: PixelData, target: TargetImage) -> PixelGradient:
+        """Returns the gradient of the loss with respect to a frame's pixels, and writes ``rows``. It only launches.
 
         Args:
             size: Width and height in pixels.
             pixels: Pixels of the frame.
-            target: Uploaded image of the same size.
+            target: Loaded image of the same size.
         """
         width, height = size
         run, get, count = self._launcher.run_banded, self._buffers.get, width * height
@@ -112,30 +148,41 @@ class ImageLoss:
             run(loss_kernels.blur_rows, runs, grid, pixels.color, target, maps)
             run(loss_kernels.compare_rows, runs, grid, maps, derivatives, ssim)
             run(loss_kernels.spread_rows, runs, grid, derivatives, maps)
-            inputs = (grid, self._weights(), pixels.color, pixels.alpha, target, maps)
+            inputs = (grid, self._weights, pixels.color, pixels.alpha, target, maps)
             run(loss_kernels.differentiate_rows, runs, *inputs, gradient.color, gradient.alpha, sums)
-            if runs > height:
-                of_runs = ssim, sums
-                ssim, sums = get("loss.row_ssim", wp.float32, height), get("loss.row_sums", wp.vec4, height)
-                run(loss_kernels.add_rows, height, grid, *of_runs, ssim, sums)
-        return self._loss(count, ssim.numpy(), sums.numpy()), gradient
+            self.rows = get("loss.rows", wp.float32, ROW_SUMS * height)
+            run(loss_kernels.add_rows, height, grid, ssim, sums, self.rows)
+        return gradient
 
-    def _weights(self) -> LossWeights:
+    def _loaded(self, image: DeviceImage) -> TargetImage:
+        self.weight_sum = image.weight_sum
         weights = LossWeights()
         weights.l1 = (1.0 - self._ssim) / (3.0 * self.weight_sum)
         weights.ssim = self._ssim / (3.0 * self.weight_sum)
         weights.alpha = self._alpha / self.weight_sum
         weights.entropy = self._entropy / self.weight_sum
-        return weights
+        self._weights = self._buffers.table("loss.weights", LossWeights, [weights])
+        return image.pixels
 
-    def _loss(self, count: int, ssim_rows: FloatArray, sums: FloatArray) -> Loss:
-        """Returns the loss as means over pixels, weighted by the pixel weights, from the kernels' sums.
+    def read(self, size: tuple[int, int]) -> Loss:
+        """Waits for the last frame of ``size``, width and height in pixels, and returns its loss."""
+        return self.loss_of(self.rows.numpy(), size, self.weight_sum)
+
+    def loss_of(self, rows: FloatArray, size: tuple[int, int], weight_sum: float) -> Loss:
+        """Returns the loss of a frame as means over pixels, weighted by the pixel weights.
 
         The kernels treat pixels of weight 0 as equal to the image, so their SSIM is 1; these pixels do not count.
+
+        Args:
+            rows: Copy of ``rows`` after that frame; further elements are ignored.
+            size: Width and height of the frame in pixels.
+            weight_sum: Sum of the image's pixel weights.
         """
-        total = self.weight_sum
-        ssim = 1.0 - (3.0 * count - float(ssim_rows.sum(dtype=np.float64))) / (3.0 * total)
-        means = sums.sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total, total)
+        total, (width, height) = weight_sum, size
+        by_row = rows[: ROW_SUMS * height].reshape(height, ROW_SUMS)
+        ssim_sum = float(by_row[:, 0].sum(dtype=np.float64))
+        ssim = 1.0 - (3.0 * width * height - ssim_sum) / (3.0 * total)
+        means = by_row[:, 1:].sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total, total)
         l1, squared, alpha, entropy = (float(mean) for mean in means)
         loss = (1.0 - self._ssim) * l1 + self._ssim * (1.0 - ssim) + self._alpha * alpha + self._entropy * entropy
         return Loss(l1, squared, ssim, alpha, entropy, loss)
@@ -173,23 +220,24 @@ class SurfaceLoss:
     ) -> None:
         self._launcher, self._buffers, self._channels = launcher, buffers, channels
         self._normals, self._depth, self._smooth = normals, depth, smooth
-        self._terms = SurfaceTerms()
-        self._terms.middle, self._terms.per_unit = middle, 1.0 / extent
+        self._scale = middle, 1.0 / extent
+        self._terms: DeviceArray
+        """``SurfaceTerms`` of the current image, an array with one element."""
         self._shown: RenderedFeatures
         self._by_sums: DeviceArray
-        self._weight_sum = 1.0
         self.smoothness: SmoothnessMaps | None = None
         """Smoothness term of each pixel of the last frame; None if its weight is 0."""
 
+    def begin(self, weight_sum: float) -> None:
+        """Uploads the weights of the terms for an image whose pixel weights have the sum ``weight_sum``."""
+        terms = SurfaceTerms()
+        terms.middle, terms.per_unit = self._scale
+        terms.weight_sum, terms.smooth = weight_sum, self._smooth / weight_sum
+        terms.normals, terms.depth = self._normals / weight_sum, self._depth / weight_sum
+        self._terms = self._buffers.table("surfaces.settings", SurfaceTerms, [terms])
+
     def differentiate(
-        self,
-        scene: DeviceScene,
-        drawn: DrawnSplats,
-        pixels: PixelData,
-        target: TargetImage,
-        *,
-        weight_sum: float,
-        gradient: PixelGradient,
+        self, scene: DeviceScene, drawn: DrawnSplats, pixels: PixelData, target: TargetImage, gradient: PixelGradient
     ) -> SurfaceMaps:
         """Evaluates the depth, normal and smoothness terms of a frame, and their gradients.
 
@@ -201,14 +249,12 @@ class SurfaceLoss:
             drawn: Splats of the frame.
             pixels: Pixels of the frame.
             target: Uploaded image with the weight of each pixel.
-            weight_sum: Sum of the pixel weights.
             gradient: Gradient with respect to the pixels; its alpha is changed in place.
 
         Returns:
             Maps with the terms of each pixel.
         """
         run, get, count = self._launcher.run_banded, self._buffers.get, math.prod(scene.image_size)
-        self._terms.normals, self._terms.depth = self._normals / weight_sum, self._depth / weight_sum
         features = get("surfaces.features", wp.float32, (drawn.splats.count, FEATURES))
         with self._launcher.stage("surfaces"):
             data = scene.assets[0].data
@@ -230,10 +276,10 @@ class SurfaceLoss:
             )
             if self._smooth > 0.0:
                 self.smoothness = self._buffers.struct("surfaces.smoothness", SmoothnessMaps, count)
-                inputs = (self._smooth / weight_sum, target, shown.of_pixels, self.smoothness)
+                inputs = (self._terms, target, shown.of_pixels, self.smoothness)
                 run(kernels.compare_smoothness, count, scene.camera, *inputs)
                 run(kernels.gather_smoothness, count, scene.camera, self.smoothness, by_sums)
-        self._shown, self._by_sums, self._weight_sum = shown, by_sums, weight_sum
+        self._shown, self._by_sums = shown, by_sums
         return maps
 
     def backward(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray) -> DeviceArray:
@@ -256,7 +302,7 @@ class SurfaceLoss:
             record: Densification statistics, changed in place.
         """
         data: GaussianData = scene.assets[0].data
-        inputs = (scene.camera, self._weight_sum, drawn.splats.rects, data, by_features, record)
+        inputs = (scene.camera, self._terms, drawn.splats.rects, data, by_features, record)
         self._launcher.run_banded(kernels.add_normal_gradients, len(data.opacities), *inputs)
 
     def add_by_features(self, scene: DeviceScene, by_features: DeviceArray, gradient: GaussianGradient) -> None:

@@ -258,10 +258,10 @@ class MaterialFit:
         target = self._loss.load(image.color, image.weight, None)
         self._lit.shade(self.materials, camera.eye, self._gaussians.sh)
         pixels = self._gaussians.draw(camera, view.background)
-        loss, by_pixels = self._loss.differentiate((camera.width, camera.height), pixels, target)
+        by_pixels = self._loss.differentiate(camera.image_size, pixels, target)
         by_splats = self._gaussians.by_splats(pixels, by_pixels)
         self._lit.decode(self._gaussians.rects, by_splats)
-        return loss, self._lit.differentiate()
+        return self._loss.read(camera.image_size), self._lit.differentiate()
 
     def _update(self, gradient: Materials) -> None:
         """Adds the smoothness gradients to ``gradient``, and makes an Adam step of all materials and the environment.

@@ -1,4 +1,8 @@
-"""Optimiser step: applies Adam to the parameters, and converts parameters to the Gaussians that are rendered."""
+"""Optimiser step: applies Adam to the parameters, and converts parameters to the Gaussians that are rendered.
+
+A step that cannot be completed, because a tile list was too short or the loss is not finite, sets ``stopped``. Then it
+and all later steps change nothing, until the host has read that and repeats them.
+"""
 
 import warp as wp
 
@@ -7,7 +11,7 @@ from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.gradients import GaussianGradient, SplatGradient
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.training import NoiseData, SplatParameters, SplatRecord, StepRates
+from lumisplat.device.training import SplatParameters, SplatRecord, StepRates
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
@@ -74,9 +78,34 @@ def activate(start: int, parameters: SplatParameters, gaussians_out: GaussianDat
 
 
 @wp.kernel
+def check_step(
+    start: int,
+    totals: wp.array[wp.int64],
+    limits: wp.array[wp.int64],
+    loss_rows_inout: wp.array[float],
+    stopped_out: wp.array[int],
+):
+    """Stops the training if a list was too short or the loss is not finite. One thread per row of the image.
+
+    ``totals`` and ``limits`` are those of `Binning`. The loss of a step with a short list becomes NaN, so that the host
+    recognises it.
+    """
+    y = start + wp.tid()
+    for k in range(5):
+        if not wp.isfinite(loss_rows_inout[5 * y + k]):
+            stopped_out[0] = 1
+    if y == 0:
+        for k in range(totals.shape[0]):
+            if totals[k] > limits[k]:
+                loss_rows_inout[0] = wp.NAN
+                stopped_out[0] = 1
+
+
+@wp.kernel
 def update(
     start: int,
-    rates: StepRates,
+    step_rates: wp.array[StepRates],
+    stopped: wp.array[int],
     gradient: GaussianGradient,
     gaussians: GaussianData,
     parameters_inout: SplatParameters,
@@ -85,6 +114,9 @@ def update(
 ):
     """Converts the gradient of Gaussians to that of parameters, and makes an Adam step. One thread per Gaussian."""
     i = start + wp.tid()
+    if stopped[0] != 0:
+        return
+    rates = step_rates[0]
 
     by_mean = gradient.means[i]
     m = BETA_1 * first_inout.means[i] + (1.0 - BETA_1) * by_mean
@@ -139,16 +171,25 @@ def standard_normal(key: wp.uint32) -> wp.vec3:
 
 
 @wp.kernel
-def explore(start: int, noise: NoiseData, gaussians: GaussianData, parameters_inout: SplatParameters):
+def explore(
+    start: int,
+    rates: wp.array[StepRates],
+    seed: wp.uint32,
+    stopped: wp.array[int],
+    gaussians: GaussianData,
+    parameters_inout: SplatParameters,
+):
     """Moves each mean by MCMC noise, normal with the Gaussian's covariance. One thread per Gaussian.
 
     The noise grows with transparency: opaque Gaussians stay nearly in place.
     """
     i = start + wp.tid()
-    gate = noise.strength * sigmoid(SLOPE * (OPACITY_MIN - gaussians.opacities[i]))
+    if stopped[0] != 0:
+        return
+    gate = rates[0].noise * sigmoid(SLOPE * (OPACITY_MIN - gaussians.opacities[i]))
     if gate > 0.0:
         axes = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
-        step = axes * (wp.transpose(axes) * standard_normal(sample_key_of(i, noise.iteration, noise.seed)))
+        step = axes * (wp.transpose(axes) * standard_normal(sample_key_of(i, rates[0].iteration, seed)))
         parameters_inout.means[i] = parameters_inout.means[i] + gate * step
 
 
@@ -162,7 +203,7 @@ def add_screen_gradients(
 ):
     """Adds the frame's screen-space position gradient to the densification statistics. One thread per Gaussian."""
     i = start + wp.tid()
-    if rects[i].x0 < rects[i].x1:
+    if record_inout.stopped[0] == 0 and rects[i].x0 < rects[i].x1:
         screen_gradient = gradients[i].center_absolute
         record_inout.motion[i] = record_inout.motion[i] + wp.length(wp.cw_mul(screen_gradient, half_size))
         record_inout.frames[i] = record_inout.frames[i] + 1.0

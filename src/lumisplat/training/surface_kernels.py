@@ -63,13 +63,13 @@ def normal_of(view: CameraData, gaussians: GaussianData, i: int) -> wp.vec3:
 def find_features(
     start: int,
     camera: wp.array[CameraData],
-    terms: SurfaceTerms,
+    surface_terms: wp.array[SurfaceTerms],
     gaussians: GaussianData,
     features_out: wp.array2d[float],
 ):
     """Writes depth, squared depth and normal of a Gaussian, which the surface terms blend. One thread per Gaussian."""
     i = start + wp.tid()
-    depth = depth_of(camera[0], terms, gaussians.means[i])
+    depth = depth_of(camera[0], surface_terms[0], gaussians.means[i])
     normal = normal_of(camera[0], gaussians, i)
     features_out[i, 0] = depth
     features_out[i, 1] = depth * depth
@@ -120,7 +120,7 @@ def has_normal(view: CameraData, alpha: wp.array[float], x: int, y: int) -> bool
 def compare_surfaces(
     start: int,
     camera: wp.array[CameraData],
-    terms: SurfaceTerms,
+    surface_terms: wp.array[SurfaceTerms],
     target: TargetImage,
     alpha: wp.array[float],
     sums: wp.array2d[float],
@@ -135,6 +135,7 @@ def compare_surfaces(
     """
     i = start + wp.tid()
     view = camera[0]
+    terms = surface_terms[0]
     x = i % view.width
     y = i // view.width
     share = pixel_weight(target, i)
@@ -186,7 +187,7 @@ def compare_surfaces(
 def gather_surfaces(
     start: int,
     camera: wp.array[CameraData],
-    terms: SurfaceTerms,
+    surface_terms: wp.array[SurfaceTerms],
     alpha: wp.array[float],
     sums: wp.array2d[float],
     maps: SurfaceMaps,
@@ -196,6 +197,7 @@ def gather_surfaces(
     """Adds to a pixel's depth gradient what the tangents of its four neighbours contribute. One thread per pixel."""
     i = start + wp.tid()
     view = camera[0]
+    terms = surface_terms[0]
     x = i % view.width
     y = i // view.width
     by_point = wp.vec3(0.0)
@@ -219,7 +221,7 @@ def gather_surfaces(
 def add_by_features(
     start: int,
     camera: wp.array[CameraData],
-    terms: SurfaceTerms,
+    surface_terms: wp.array[SurfaceTerms],
     gaussians: GaussianData,
     by_features: wp.array2d[float],
     gradient_inout: GaussianGradient,
@@ -227,6 +229,7 @@ def add_by_features(
     """Adds the gradient of mean and rotation, from that of depth, squared depth and normal. One thread per Gaussian."""
     i = start + wp.tid()
     view = camera[0]
+    terms = surface_terms[0]
     depth = depth_of(view, terms, gaussians.means[i])
     by_depth = (by_features[i, 0] + 2.0 * depth * by_features[i, 1]) * terms.per_unit
     forward = wp.vec3(view.world_from_camera[0, 2], view.world_from_camera[1, 2], view.world_from_camera[2, 2])
@@ -243,7 +246,7 @@ def add_by_features(
 def add_normal_gradients(
     start: int,
     camera: wp.array[CameraData],
-    weight_sum: float,
+    surface_terms: wp.array[SurfaceTerms],
     rects: wp.array[TileRect],
     gaussians: GaussianData,
     by_features: wp.array2d[float],
@@ -251,10 +254,10 @@ def add_normal_gradients(
 ):
     """Adds a drawn Gaussian's loss gradient for rotating its normal to its statistics. One thread per Gaussian."""
     i = start + wp.tid()
-    if is_listed(rects[i]):
+    if record_inout.stopped[0] == 0 and is_listed(rects[i]):
         by_normal = normal_at(by_features, i)
         normal_gradient = wp.length(wp.cross(normal_of(camera[0], gaussians, i), by_normal))
-        record_inout.turns[i] = record_inout.turns[i] + weight_sum * normal_gradient
+        record_inout.turns[i] = record_inout.turns[i] + surface_terms[0].weight_sum * normal_gradient
 
 
 @wp.kernel
@@ -308,7 +311,7 @@ def l1_norm(v: wp.vec3) -> float:
 def compare_smoothness(
     start: int,
     camera: wp.array[CameraData],
-    weight: float,
+    surface_terms: wp.array[SurfaceTerms],
     target: TargetImage,
     sums: wp.array2d[float],
     maps_out: SmoothnessMaps,
@@ -336,7 +339,7 @@ def compare_smoothness(
                 down += sobel_weight(dy, dx) * normal
                 color_across += sobel_weight(dx, dy) * color
                 color_down += sobel_weight(dy, dx) * color
-        share = weight * pixel_weight(target, i) / 3.0
+        share = surface_terms[0].smooth * pixel_weight(target, i) / 3.0
         along_x = share * edge_weight(color_across)
         along_y = share * edge_weight(color_down)
         term = along_x * l1_norm(across) + along_y * l1_norm(down)

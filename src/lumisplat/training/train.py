@@ -215,11 +215,11 @@ class _Run:
         saved = reported = self._begun = time.monotonic()
         with deferred_interrupt() as is_interrupted:
             while trainer.iteration < total and not is_interrupted():
-                loss = trainer.step()
-                self._curve.add(trainer.iteration, loss)
+                trainer.step()
                 now = time.monotonic()
                 if now - reported >= PROGRESS_EVERY_S:
                     reported = now
+                    self._add_losses()
                     self._progress(self._progress_text(now), trainer.iteration / total)
                 if is_evaluated(trainer.iteration) and trainer.iteration < total:
                     self._curve.measure(trainer.iteration, self._held_out.psnr(self._gaussians()))
@@ -294,7 +294,13 @@ class _Run:
             for pose, image in zip(self._trainer.poses.values, self._images.training, strict=True)
         )
 
+    def _add_losses(self) -> None:
+        """Adds the losses of all iterations so far to the curve; a GPU is waited for."""
+        for step, loss in self._trainer.take_losses():
+            self._curve.add(step, loss)
+
     def _save(self) -> None:
+        self._add_losses()
         if self._folder is not None:
             state = self._trainer.checkpoint
             write_checkpoint(self._folder.checkpoint, state, self._curve, self._config, self._fingerprint)

@@ -82,24 +82,17 @@ class TrainingView:
 
         return cls(image.name, image.camera, read, image.background or (0.0, 0.0, 0.0))
 
-    def downscaled(self, halvings: int) -> tuple[Camera, TargetPixels]:
-        """Returns camera and pixels with both sides halved ``halvings`` times; each pixel is the mean over its area."""
-        if halvings == 0:
-            return self.camera, self.read()
-        width, height = (max(side >> halvings, 1) for side in (self.camera.width, self.camera.height))
-        return self.camera.scaled(width, height), self.read().resized((width, height))
+    def downscaled_camera(self, halvings: int) -> Camera:
+        """Returns the camera with both sides of its image halved ``halvings`` times."""
+        return self.camera.scaled(*self._size(halvings)) if halvings else self.camera
 
+    def read_downscaled(self, halvings: int) -> TargetPixels:
+        """Reads the pixels with both sides halved ``halvings`` times; each pixel is the mean over its area."""
+        return self.read().resized(self._size(halvings)) if halvings else self.read()
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StepInput:
-    """Image, camera and background of one training iteration."""
-
-    number: int
-    """Index of the view."""
-    camera: Camera
-    image: TargetPixels
-    background: tuple[float, float, float]
-    """Display-referred sRGB behind the Gaussians and behind transparent pixels of the image."""
+    def _size(self, halvings: int) -> tuple[int, int]:
+        """Returns width and height in pixels after ``halvings`` halvings."""
+        return max(self.camera.width >> halvings, 1), max(self.camera.height >> halvings, 1)
 
 
 def _resized(layer: FloatArray, size: tuple[int, int]) -> FloatArray:

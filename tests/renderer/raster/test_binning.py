@@ -11,7 +11,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.errors import DeviceError
-from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel, grown_capacity
+from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel, grown_capacity, pair_starts
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
@@ -83,7 +83,7 @@ def brute_force_lists(rects: np.ndarray, order: np.ndarray, tiles_x: int, tile_c
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_tile_lists_contain_all_touching_splats_in_depth_order(parallel: bool) -> None:
-    """The lists are also complete after lists of the parallel schedule were truncated and enlarged."""
+    """The lists of the parallel schedule are empty while they are too short, and complete afterwards."""
     random = np.random.default_rng(5)
     tiles_x, tiles_y, count = 7, 5, 400
     table = np.zeros(count, dtype=table_dtype(TileRect))
@@ -97,10 +97,14 @@ def test_tile_lists_contain_all_touching_splats_in_depth_order(parallel: bool) -
     order = make_order(parallel)
     depth_order = order.sort(DeviceArray(keys, dtype=wp.uint32, device="cpu"))
     lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
+    assert bool(lists.starts.numpy().any()) != parallel
+    assert bool(pair_starts(order._launcher, order._buffers, rects, lists.starts).numpy().any()) != parallel
     assert order.finish() != parallel  # 400 items have more pairs than the first capacity of 1024
     order.begin()
     lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
     assert order.finish()
+    pairs = pair_starts(order._launcher, order._buffers, rects, lists.starts).numpy()
+    assert pairs[-1] == order.counts.pairs
     visible = np.argsort(keys, kind="stable")[: (keys < NONFINITE).sum()]
     expected = brute_force_lists(table, visible, tiles_x, tiles_x * tiles_y)
     starts, items = lists.starts.numpy(), lists.items.numpy()

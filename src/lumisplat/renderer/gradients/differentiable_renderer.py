@@ -27,7 +27,7 @@ from lumisplat.renderer.gradients.arrays import (
     set_gradient,
 )
 from lumisplat.renderer.gradients.features import FeatureChannels, RenderedFeatures
-from lumisplat.renderer.gradients.pose import pose_gradient
+from lumisplat.renderer.gradients.pose import PoseSums, pose_gradient
 from lumisplat.renderer.gradients.ray_backward import RayBackward, TracedFrame, UpstreamGradient, check_traced
 from lumisplat.renderer.gradients.splat_backward import SplatBackward
 from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward, UnscentedFrame
@@ -303,7 +303,7 @@ class DifferentiableRenderer(Renderer):
     def _by_pose(self, scene: Scene, camera: Camera, drawn: DrawnSplats, by_splat: DeviceArray) -> Doubles:
         total = np.zeros((4, 4))
         for number, instance in enumerate(scene.splats):
-            sums = self._splat_backward.pose(self._scene, drawn, by_splat, number)
+            sums = PoseSums.of(self._splat_backward.pose(self._scene, drawn, by_splat, number))
             total[:3] += pose_gradient(sums, instance, camera)
         return total
 

@@ -28,6 +28,12 @@ class PoseSums:
     eye: Doubles
     """Gradient with respect to the eye position in object space, through view-dependent colour; shape (3,)."""
 
+    @classmethod
+    def of(cls, rows: DeviceArray) -> PoseSums:
+        """Reads ``PoseGradient`` rows from the device and adds them up."""
+        table = rows.numpy()
+        return cls(*(table[name].sum(axis=0, dtype=np.float64) for name in cls.__slots__))
+
 
 def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Doubles:
     """Converts one instance's PoseSums to the gradient of the upper three rows of ``camera_from_world``, shape (3, 4).

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from lumisplat.constants import POSE_CHUNK, TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, PoseGradient, SplatGradient
 from lumisplat.renderer.gradients import splat_backward_kernels as kernels
 from lumisplat.renderer.gradients.arrays import gradient_of_asset
-from lumisplat.renderer.gradients.pose import PoseSums
 from lumisplat.renderer.raster.binning import pair_starts
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -53,7 +50,7 @@ class SplatBackward:
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count = drawn.splats.count
-        starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects)
+        starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects, drawn.tiles.starts)
         pairs = get("backward.pairs", SplatGradient, drawn.tiles.items.shape[0])
         lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
         inputs = (scene.camera, drawn.settings, *lists, drawn.meshes, pixels, gradient, pairs)
@@ -85,8 +82,8 @@ class SplatBackward:
             self._launcher.run_banded(kernels.backward_gaussians, asset.gaussians.count, *inputs)
         return out
 
-    def pose(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> PoseSums:
-        """Returns the contribution of one splat instance to the gradient with respect to the camera pose.
+    def pose(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> DeviceArray:
+        """Returns what one splat instance contributes to the gradient by the camera pose, as rows for `PoseSums.of`.
 
         Args:
             scene: As for ``splats``.
@@ -100,5 +97,4 @@ class SplatBackward:
         data = (number, asset.data, drawn.splats.data, drawn.splats.rects, by_splat)
         inputs = (scene.camera, drawn.settings, scene.splat_instances, *data, sums)
         self._launcher.run_banded(kernels.backward_pose, chunks, *inputs)
-        table = sums.numpy()
-        return PoseSums(*(table[name].sum(axis=0, dtype=np.float64) for name in PoseSums.__slots__))
+        return sums

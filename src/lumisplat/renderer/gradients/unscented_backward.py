@@ -98,7 +98,8 @@ class UnscentedBackward:
             gradient: Gradients with respect to the colours and alphas of the pixels.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
-        count, starts = drawn.splats.count, pair_starts(self._launcher, self._buffers, drawn.splats.rects)
+        count = drawn.splats.count
+        starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects, drawn.tiles.starts)
         pairs = get("backward.ray_pairs", RaySplatGradient, drawn.tiles.items.shape[0])
         lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
         inputs = (scene.camera, drawn.settings, *lists, drawn.rays, drawn.limits, pixels, gradient, pairs)

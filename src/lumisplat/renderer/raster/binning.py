@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 import warp as wp
 
 from lumisplat.constants import COUNT_SUM_THREADS, ITEMS_MAX
@@ -52,7 +53,8 @@ class TileLists:
     """For each tile, the splats or triangles that touch it, in depth order."""
 
     starts: DeviceArray
-    """Index in ``items`` of the first entry of each tile; the last element is the total number of entries."""
+    """Index in ``items`` of the first entry of each tile; the last element is the total number of entries. All are 0 if
+    the lists are too short (`Binning.finish`)."""
     items: DeviceArray
     """Indices of the splats or triangles of each tile, tile after tile."""
 
@@ -72,6 +74,9 @@ class Binning(ABC):
         self.growth = 0
         """Number of times that a tile list was too short and was enlarged. A CUDA graph recorded at another number is
         stale."""
+        self.totals, self.limits = (buffers.get(f"order.{name}", wp.int64, 0) for name in ("totals", "limits"))
+        """Counts of the frame on the device, ``int64``, and the largest ones with which its lists are complete; empty
+        if lists are always complete."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
@@ -188,11 +193,12 @@ class BinningParallel(Binning):
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         super().__init__(launcher, buffers)
         self._capacity: dict[str, int] = {}
-        self._totals = buffers.get("order.totals", wp.int64, 2 + len(self._SLOTS))
+        counts = 2 + len(self._SLOTS)
+        self.totals, self.limits = (buffers.get(f"order.{name}", wp.int64, counts) for name in ("totals", "limits"))
 
     def begin(self) -> None:
         """Starts a frame: resets ``counts``."""
-        self._totals.zero_()
+        self.totals.zero_()
 
     def finish(self) -> bool:
         """Waits for the frame; False if a tile list was too short. The list is then enlarged; draw the frame again.
@@ -200,15 +206,20 @@ class BinningParallel(Binning):
         Raises:
             DeviceError: A list is longer than 32-bit indices reach.
         """
-        totals = [int(total) for total in self._totals.numpy()]
+        totals = [int(total) for total in self.totals.numpy()]
         self.counts = BinningCounts(*totals[:3])
         complete = True
         for name, slot in self._SLOTS.items():
             if check_pairs(totals[slot]) > self._capacity.get(name, 0):
-                self._capacity[name] = grown_capacity(totals[slot])
+                self._set_capacity(name, grown_capacity(totals[slot]))
                 self.growth += 1
                 complete = False
         return complete
+
+    def _set_capacity(self, name: str, capacity: int) -> None:
+        self._capacity[name] = capacity
+        of_lists = [self._capacity.get(one, ITEMS_MAX) for one in self._SLOTS]
+        self.limits.assign(np.array([ITEMS_MAX, ITEMS_MAX, *of_lists], np.int64))
 
     def sort(self, keys: DeviceArray) -> DepthOrder:
         """Returns all splats or triangles sorted by depth key; culled ones come last and touch no tile."""
@@ -218,7 +229,7 @@ class BinningParallel(Binning):
         copy_elements(keys, sorted_keys, count)
         self._launcher.run(kernels.fill_identity, count, 0, order)
         sort_pairs(sorted_keys, order, count)
-        self._launcher.run(kernels.count_sorted_keys, 1, count, sorted_keys, self._totals)
+        self._launcher.run(kernels.count_sorted_keys, 1, count, sorted_keys, self.totals)
         return DepthOrder(order, count)
 
     def unsorted(self, count: int) -> DepthOrder:
@@ -233,19 +244,21 @@ class BinningParallel(Binning):
         The pairs are made in depth order, and the sort is stable.
         """
         run, buffers, count = self._launcher.run, self._buffers, depth_order.count
-        capacity = self._capacity.setdefault(name, grown_capacity(2 * count))
+        if name not in self._capacity:
+            self._set_capacity(name, grown_capacity(2 * count))
+        capacity = self._capacity[name]
         counts = buffers.get(f"{name}.counts", wp.int32, count + 1)
         offsets = buffers.get(f"{name}.offsets", wp.int32, count + 1)
         tiles = buffers.get(f"{name}.tiles", wp.int32, 2 * capacity)
         items = buffers.get(f"{name}.items", wp.int32, 2 * capacity)
         starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
-        run(kernels.count_pairs, count + 1, 0, depth_order.order, rects, counts)
+        run(kernels.count_pairs, count + 1, 0, depth_order.order, rects, None, counts)
         prefix_sum(counts, offsets, inclusive=False)
-        run(kernels.sum_pairs, COUNT_SUM_THREADS, 0, counts, self._SLOTS[name], self._totals)
+        run(kernels.sum_pairs, COUNT_SUM_THREADS, 0, counts, self._SLOTS[name], self.totals)
         run(kernels.clear_pairs, capacity, 0, tile_count, tiles)
         run(kernels.emit_pairs, count, 0, tiles_x, capacity, depth_order.order, rects, offsets, tiles, items)
         sort_pairs(tiles, items, capacity, bits=tile_count.bit_length())
-        run(kernels.find_tile_starts, tile_count + 1, 0, capacity, tiles, starts)
+        run(kernels.find_tile_starts, tile_count + 1, 0, capacity, self._SLOTS[name], self.totals, tiles, starts)
         listed = items[:capacity] if capacity else items  # the rest is scratch space of the sort
         return TileLists(starts, device_array(listed))
 
@@ -255,19 +268,20 @@ def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:
     return (BinningParallel if launcher.is_parallel else BinningChunked)(launcher, buffers)
 
 
-def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray) -> DeviceArray:
+def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray, tile_starts: DeviceArray) -> DeviceArray:
     """Returns where the (tile, item) pairs of each splat or triangle begin in a list of all pairs, item by item.
 
-    The last element is the number of pairs.
+    The last element is the number of pairs. It is 0 if a tile list was too short, because all lists are then empty.
 
     Args:
         launcher: Runs the kernel.
         buffers: Holds the arrays.
         rects: Rectangle of tiles that each item touches.
+        tile_starts: ``starts`` of the `TileLists` of the items.
     """
     count = rects.shape[0]
     counts, starts = (buffers.get(f"order.item_{kind}", wp.int32, count + 1) for kind in ("counts", "starts"))
-    launcher.run_banded(kernels.count_pairs, count + 1, None, rects, counts)
+    launcher.run_banded(kernels.count_pairs, count + 1, None, rects, tile_starts, counts)
     prefix_sum(counts, starts, inclusive=False)
     return starts
 

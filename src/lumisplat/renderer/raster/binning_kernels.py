@@ -200,15 +200,25 @@ def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.arr
 
 
 @wp.kernel
-def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], counts_out: wp.array[int]):
-    """Per splat or triangle: counts the tiles that it touches.
+def count_pairs(
+    start: int,
+    order: wp.array[int],
+    rects: wp.array[TileRect],
+    tile_starts: wp.array[int],
+    counts_out: wp.array[int],
+):
+    """Per splat or triangle: counts the tiles that list it.
 
     The counts are in the order of ``order``; if that is empty, in the original order. There is one count more, so that
-    an exclusive scan of the counts ends with the total.
+    an exclusive scan of the counts ends with the total. If ``tile_starts`` is given and its lists are empty, all counts
+    are 0; otherwise, every tile that an item touches lists it.
     """
     i = start + wp.tid()
     counts_out[i] = 0
-    if i < counts_out.shape[0] - 1:
+    is_listed = bool(True)
+    if tile_starts:
+        is_listed = tile_starts[tile_starts.shape[0] - 1] > 0
+    if is_listed and i < counts_out.shape[0] - 1:
         item = i
         if order:
             item = order[i]
@@ -249,7 +259,19 @@ def emit_pairs(
 
 
 @wp.kernel
-def find_tile_starts(start: int, capacity: int, sorted_tiles: wp.array[int], starts_out: wp.array[int]):
-    """Per tile: finds its first pair in the sorted pairs by binary search; the last element is the number of pairs."""
+def find_tile_starts(
+    start: int,
+    capacity: int,
+    slot: int,
+    totals: wp.array[wp.int64],
+    sorted_tiles: wp.array[int],
+    starts_out: wp.array[int],
+):
+    """Per tile: finds its first pair in the sorted pairs by binary search; the last element is the number of pairs.
+
+    All lists are empty if some pairs were dropped, because later passes count on complete lists.
+    """
     tile = start + wp.tid()
-    starts_out[tile] = first_not_below(sorted_tiles, capacity, tile)
+    starts_out[tile] = 0
+    if totals[slot] <= wp.int64(capacity):
+        starts_out[tile] = first_not_below(sorted_tiles, capacity, tile)

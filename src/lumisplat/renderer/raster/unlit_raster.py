@@ -69,22 +69,19 @@ class UnlitRaster:
         Args:
             scene: The device scene, synced, with a pinhole camera without aperture.
         """
-        pixels = PixelBuffers.of(self._buffers, scene.image_size)
-        self._replay(scene, pixels)
-        while not self._binning.finish():
-            self._replay(scene, pixels)
-        return pixels
+        while True:
+            key = scene.graph_key, self._binning.growth
+            self.drawn = self._launcher.replay("frame", key, lambda: self.launch(scene))
+            if self._binning.finish():
+                return PixelBuffers.of(self._buffers, scene.image_size)
 
     def sum_splats(self, scene: DeviceScene, drawn: DrawnSplats, sums: GaussianHits) -> None:
         """Sums colours and normals of the drawn splats per pixel, like `SplatRaster.sum_splats`."""
         self._splats.sum_splats(scene, drawn.tiles, drawn.meshes, sums)
 
-    def _replay(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:
-        key = scene.graph_key, self._binning.growth
-        self.drawn = self._launcher.replay("frame", key, lambda: self._passes(scene, pixels))
-
-    def _passes(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> DrawnSplats:
-        stage = self._launcher.stage
+    def launch(self, scene: DeviceScene) -> DrawnSplats:
+        """Launches the kernels of a frame; it is incomplete if `Binning.finish` returns False."""
+        stage, pixels = self._launcher.stage, PixelBuffers.of(self._buffers, scene.image_size)
         self._binning.begin()
         with stage("mesh"):
             meshes = self._meshes.draw(scene)
@@ -96,4 +93,5 @@ class UnlitRaster:
             tiles = self._splats.bin(scene, order, splats)
         with stage("composite"):
             self._splats.draw(scene, tiles, meshes, pixels.data, finds_depth=self._finds_depth)
-        return DrawnSplats(splats, tiles, meshes, self._splats.settings)
+        self.drawn = DrawnSplats(splats, tiles, meshes, self._splats.settings)
+        return self.drawn
