@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.transforms import rotation_matrix
-from lumisplat.relighting import delight as steps
+from lumisplat.relighting import delight as steps, incident
 from lumisplat.relighting.albedo_fit import AlbedoPairFit, EnvironmentCells, Light, initial_light
 from lumisplat.relighting.capture_measures import measure_surface
 from lumisplat.relighting.delight import MaterialEstimate, _costs, emitters_of, is_white
@@ -39,7 +39,8 @@ def incident_of(
 ) -> Irradiance:
     """Returns the irradiance of the Gaussians of a set by ray tracing."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    return IncidentRays(gaussians, normals, renderer, 0).incident(normals, emitters, cells)
+    smoother = Smoother.of(neighbours_of(gaussians), normals, emitters)
+    return IncidentRays(gaussians, normals, renderer, 0).incident(smoother, normals, emitters, cells)
 
 
 @pytest.fixture(scope="module")
@@ -304,6 +305,43 @@ def test_smoothing_over_neighbouring_gaussians_keeps_constants_and_reduces_noise
     assert smoother.mean(RNG.standard_normal((plain.count, 1))).std() < 0.45
 
 
+def test_irradiance_of_gaussians_that_trace_no_rays_is_that_of_their_neighbours() -> None:
+    """On a line of four, the first two trace rays; one average reaches the third, two averages the last.
+
+    A Gaussian without rays near it gets the mean of all rays. A share of 0 stays 0.
+    """
+    points = np.array([(x, 0.0, 0.0) for x in (0.0, 1.0, 2.0, 3.0, 9.0)])
+    smoother = Smoother.of(cross_pairs(points, points, 1.5), np.tile((0.0, 0.0, 1.0), (5, 1)), np.full(5, -1))
+    rows, weights, values = np.array([0, 1]), np.array([1.0, 3.0]), np.array([[1.0], [5.0]])
+    once, twice = (smoother.arriving(np.full(5, 0.5), rows, weights, values, steps)[:, 0] for steps in (1, 2))
+    assert np.allclose(once, 0.5 * np.array((4.0, 4.0, 5.0, 4.0, 4.0)))
+    # After one average, the weights are 2, 4/3, 1 and 0, and weights times values are 8, 16/3, 5 and 0.
+    assert np.allclose(twice, 0.5 * np.array((4.0, 55.0 / 13.0, 31.0 / 7.0, 5.0, 4.0)))
+    assert not smoother.arriving(np.zeros(5), rows, weights, values, 1).any()
+
+
+def test_gaussians_that_take_turns_find_about_the_irradiance_of_gaussians_that_all_trace_rays(
+    ball: tuple[ls.Gaussians, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ball and the floor below it get the same light with a quarter of the rays.
+
+    In the mean to 1 % of the light that nothing blocks, and each Gaussian to 5 % (root mean square).
+    """
+    floor = ls.transform(ls.gaussians_from_mesh(ls.plane(4.0), 900), translation=(0.0, -1.0, 0.0))
+    capture = colored(ls.merge([ball[0], floor]), np.full((ball[0].count + 900, 3), 0.5))
+    normals = np.concatenate([np.asarray(ball[0].normals), np.abs(np.asarray(floor.normals))]).astype(np.float64)
+    inputs = capture, normals, EnvironmentCells.even(8), np.full(capture.count, -1)
+    every = incident_of(*inputs)
+    monkeypatch.setattr(incident, "GAUSSIANS_PER_TURN", capture.count // 4)
+    some = incident_of(*inputs)
+    for of_every, of_some in (
+        (every.observed, some.observed),
+        (every.environment.sum(axis=1), some.environment.sum(axis=1)),
+    ):
+        assert abs(of_every.mean() - of_some.mean()) < 0.01
+        assert np.sqrt(np.square(of_every - of_some).mean()) < 0.05
+
+
 def test_delight_fills_in_the_albedo_of_unlit_gaussians_from_their_neighbours() -> None:
     """The radiance of a Gaussian without light does not determine its albedo."""
     points = np.array([(x, 0.0, 0.0) for x in range(5)])
@@ -426,7 +464,7 @@ def test_delight_logs_that_a_capture_has_no_clear_surface_and_gives_advice(
 def test_progress_of_delight_counts_light_fits_in_rays_at_the_measured_pace_of_rays() -> None:
     """Fits take as many seconds whether rays are fast or slow."""
     config = ls.DelightConfig(cells=4)
-    slow, fast = (_costs(1000, config, inside=True, shines=True, rays_per_s=pace) for pace in (1e4, 1e5))
+    slow, fast = (_costs(1000, 1, config, inside=True, shines=True, rays_per_s=pace) for pace in (1e4, 1e5))
     assert slow["finding sides"] == fast["finding sides"] and slow["tracing the light"] == fast["tracing the light"]
     for stage in ("finding the light", "finding highlights"):
         assert fast[stage] == pytest.approx(10.0 * slow[stage])

@@ -15,7 +15,7 @@ from lumisplat.math.sh import sh_basis
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.relighting.albedo_fit import EnvironmentCells, Light, initial_light, with_typical_albedos
 from lumisplat.relighting.delight import emitters_of, is_white
-from lumisplat.relighting.incident import IncidentRays
+from lumisplat.relighting.incident import IncidentRays, Smoother, neighbours_of
 from lumisplat.relighting.irradiance import Irradiance, median_outgoing
 
 EMITTER, FLOOR = 60, 200
@@ -43,7 +43,8 @@ def emitter_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarra
 def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray) -> Irradiance:
     """Returns the irradiance of the Gaussians of a set by ray tracing."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    return IncidentRays(gaussians, normals, renderer, 0).incident(normals, emitters, EnvironmentCells.even(8))
+    smoother = Smoother.of(neighbours_of(gaussians), normals, emitters)
+    return IncidentRays(gaussians, normals, renderer, 0).incident(smoother, normals, emitters, EnvironmentCells.even(8))
 
 
 def test_observed_irradiance_in_delight_excludes_gaussians_that_count_as_emitters() -> None:

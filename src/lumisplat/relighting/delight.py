@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from threadpoolctl import threadpool_limits
 
-from lumisplat.config import DelightConfig, Pipeline, RenderConfig
+from lumisplat.config import DelightConfig, Pipeline, RenderConfig, TraceConfig
 from lumisplat.config.checks import check_kind
 from lumisplat.constants import GAUSSIANS_LEAST, RADIANCE_LEAST, SURFACE_OPACITY_MIN
 from lumisplat.errors import SceneError
@@ -87,6 +87,9 @@ have it.
 RESIDUAL_LARGE = 0.25
 """`MaterialEstimate.remarks` counts a Gaussian as unexplained if modelled and captured radiance differ by more than
 this fraction of the captured radiance."""
+
+TRANSMITTANCE_LEAST = 0.01
+"""Transmittance at which rays end; only means over many of them matter, and rays that end later cost a quarter more."""
 
 ENVIRONMENT_IMAGE_ROWS = 64
 """Height of the image of the estimated environment, pixels."""
@@ -167,7 +170,9 @@ def estimate_materials(
     if gaussians.albedo is not None:
         _log.warning("the albedo of the capture is replaced by one estimated from its captured colours")
     origin, gaussians = gaussians.origin, replace(gaussians, origin=(0.0, 0.0, 0.0))
-    renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device, threads=threads)
+    trace = TraceConfig(transmittance_min=TRANSMITTANCE_LEAST)
+    config_of_rays = RenderConfig(pipeline=Pipeline.TRACE, lighting=False, trace=trace)
+    renderer = create_renderer(config_of_rays, device, threads=threads)
     if not np.ptp(gaussians.means, axis=0).any():
         raise SceneError("no surface to estimate materials of: all Gaussians are at one position")
     surface = measure_surface(gaussians, renderer, config.seed)
@@ -207,16 +212,17 @@ times slower.
 
 
 def _costs(
-    count: int, config: DelightConfig, *, inside: bool, shines: bool, rays_per_s: float = _RAYS_PER_S
+    count: int, turns: int, config: DelightConfig, *, inside: bool, shines: bool, rays_per_s: float = _RAYS_PER_S
 ) -> dict[str, float]:
     """Returns the expected cost of each stage of the estimate, in traced rays, by the stage's progress label.
 
-    ``inside``: the capture is a room, so no environment is refined; ``shines``: highlights are fitted, too.
+    ``turns`` is `IncidentRays.turns`; ``inside``: the capture is a room, so no environment is refined; ``shines``:
+    highlights are fitted, too.
     """
-    fit = _FIT_S * rays_per_s
-    costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: 1.0 * config.cells**2 * count, _LIGHT: fit}
+    fit, part = _FIT_S * rays_per_s, count / turns
+    costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: config.cells**2 * part, _LIGHT: fit}
     for bright, light in () if inside else _BRIGHT:
-        costs |= {bright: 1.0 * BRIGHT_CELLS * BRIGHT_PARTS**2 * count, light: 2.0 * fit}
+        costs |= {bright: BRIGHT_CELLS * BRIGHT_PARTS**2 * part, light: 2.0 * fit}
     return costs | ({_HIGHLIGHTS: _HIGHLIGHT_S * rays_per_s * count} if shines else {})
 
 
@@ -232,7 +238,7 @@ class _Delighter:
     def run(self) -> MaterialEstimate:
         """Traces rays, fits light and roughness, and returns the materials and the light."""
         count, may_shine = self.gaussians.count, self.gaussians.sh_degree > 0 and not self.config.matt
-        self.pace.plan(_costs(count, self.config, inside=bool(self.config.inside), shines=may_shine))
+        self.pace.plan(_costs(count, self.rays.turns, self.config, inside=bool(self.config.inside), shines=may_shine))
         self.pace.begin(_SIDES)
         near = neighbours_of(self.gaussians)
         begun = time.perf_counter()
@@ -248,10 +254,10 @@ class _Delighter:
         cells = EnvironmentCells.even(self.config.cells)
         # Irradiance from emitters is not stored by direction, so that their highlights cannot be modelled.
         shines = may_shine and emitters.max(initial=-1) < 0
-        costs = _costs(count, self.config, inside=inside, shines=shines, rays_per_s=rays_per_s)
+        costs = _costs(count, self.rays.turns, self.config, inside=inside, shines=shines, rays_per_s=rays_per_s)
         self.pace.plan(costs)
         self.pace.begin(_RAYS)
-        incident = smoother.incident(self.rays.incident(normals, emitters, cells, stores_directions=shines))
+        incident = self.rays.incident(smoother, normals, emitters, cells, stores_directions=shines)
         if inside:  # rays that escape a room pass gaps between Gaussians
             cells, incident = cells.of(np.empty(0, int)), replace(incident, environment=incident.environment[:, :0])
         pairs = albedo_pairs(near, np.flatnonzero(~white), PAIRS, np.random.default_rng([self.config.seed, 5]))
@@ -319,7 +325,7 @@ class _Delighter:
         bright = np.argsort(-power, kind="stable")[:BRIGHT_CELLS]
         others = np.setdiff1d(np.arange(len(cells)), bright)
         parts = cells.of(bright).parts(BRIGHT_PARTS)
-        found = smoother.mean(self.rays.from_environment(normals, parts))
+        found = self.rays.from_environment(smoother, normals, parts)
         environment = np.concatenate([incident.environment[:, others], found], axis=1)
         radiances = np.concatenate(
             [light.environment[others], np.repeat(light.environment[bright], BRIGHT_PARTS**2, axis=0)]

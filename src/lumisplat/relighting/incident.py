@@ -6,15 +6,16 @@ Most of that light is visible in the capture itself; the rest comes from the env
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import cg
 
-from lumisplat.constants import SHADOW_OFFSET
+from lumisplat.constants import PACKET_RAYS, SHADOW_OFFSET
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.sh import even_directions
 from lumisplat.math.transforms import matrices_from_quaternions
@@ -31,6 +32,9 @@ NEIGHBOURS = 12
 
 NORMAL_SHARPNESS = 8
 """Weight with which irradiances of two Gaussians are averaged: the cosine between their normals to this power."""
+
+WEIGHT_LEAST = 1e-12
+"""Lower bound of sums of rays' weights by which other sums are divided."""
 
 SMOOTHED_COLUMNS = 16
 """Number of columns of values that are averaged at once in float64, to limit memory."""
@@ -85,10 +89,31 @@ class Smoother:
             smooth[:, columns] = self.weights @ values[:, columns].astype(np.float64)
         return smooth
 
-    def incident(self, incident: Irradiance) -> Irradiance:
-        """Averages irradiance from capture, environment and emitters over neighbours; ``by_direction`` is copied."""
-        smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "environment", "emitters")}
-        return replace(incident, **smooth)
+    def arriving(
+        self, shares: Doubles, rows: Rows, traced: Doubles, values: npt.NDArray[np.floating], steps: int
+    ) -> Doubles:
+        """Returns the irradiance over pi of N Gaussians from one direction, in which some traced rays, shape (N, C).
+
+        It is the mean of ``shares`` over neighbours, times the weighted mean of ``values`` over rays nearby: of
+        neighbours, or of their neighbours if ``steps`` is 2. Where there are none, it is the mean over all rays.
+
+        Args:
+            shares: Irradiance over pi that each Gaussian receives at radiance 1 if nothing blocks it, shape (N,).
+            rows: Indices of the R Gaussians that traced rays.
+            traced: Weights of the rays, shape (R,).
+            values: Radiances or transmittances that the rays found, shape (R, C).
+            steps: Number of averages over neighbours of the values of rays.
+        """
+        columns = np.zeros((len(shares), 2 + values.shape[1]))
+        columns[:, 0] = shares
+        columns[rows, 1] = traced
+        columns[rows, 2:] = traced[:, None] * values
+        sums = self.weights @ columns
+        share, sums = sums[:, :1], sums[:, 1:]
+        for _ in range(1, steps):
+            sums = self.weights @ sums
+        sums[sums[:, 0] <= 0.0] = columns[:, 1:].sum(axis=0)
+        return share * sums[:, 1:] / np.maximum(sums[:, :1], WEIGHT_LEAST)
 
 
 SIDE_DIRECTIONS = 26
@@ -133,8 +158,22 @@ SIDE_ERROR = 1e-6
 used.
 """
 
+GAUSSIANS_PER_TURN = 20_000
+"""Gaussians of captures larger than this take turns: of neighbours, only one traces a ray into an environment cell, and
+16 of these rays share a direction. In smaller captures, neighbours are too far apart for that."""
+
+TURNS_MAX = 8
+"""Largest number of neighbouring Gaussians that take turns. Of 12 neighbours, one or two then trace into each cell."""
+
+TURN_STEPS = 2
+"""Number of averages over neighbours of what rays find in captures whose Gaussians take turns."""
+
 SURFACE_SPREAD = 0.5
 """Standard deviation of sampled ray origins on a Gaussian, in units of the Gaussian's own standard deviations."""
+
+COSINE_LEAST = 1e-3
+"""Smallest cosine by which rays into an environment cell are weighted: a ray may lie below the horizon of a Gaussian
+that faces another part of the cell."""
 
 EMITTER_POINTS = 24
 """Number of points sampled on each emitter as the targets of shadow rays."""
@@ -215,6 +254,9 @@ class IncidentRays:
         self._points = SurfacePoints(capture, axes, seed)
         self._rng = np.random.default_rng([seed, 4])
         self._order = morton_order(capture.means)  # neighbouring rays are traced together
+        self.turns = min(-(-capture.count // GAUSSIANS_PER_TURN), TURNS_MAX)
+        """Number of neighbouring Gaussians of which one traces a ray into each environment cell."""
+        self._steps = 1 if self.turns == 1 else TURN_STEPS
         self._means = capture.means.astype(np.float64)
         self._offsets = SHADOW_OFFSET * capture.scales.max(axis=1)
         self._extent = float(np.linalg.norm(np.ptp(self._means, axis=0)))
@@ -260,11 +302,20 @@ class IncidentRays:
         return agreed_sides(axes, votes, near)[:, None] * axes, inside
 
     def incident(
-        self, normals: Doubles, emitters: Rows, cells: EnvironmentCells, *, stores_directions: bool = False
+        self,
+        smoother: Smoother,
+        normals: Doubles,
+        emitters: Rows,
+        cells: EnvironmentCells,
+        *,
+        stores_directions: bool = False,
     ) -> Irradiance:
-        """Traces one ray per Gaussian and environment cell; returns the irradiance on the side to which normals point.
+        """Traces rays into each environment cell; returns the irradiance on the side to which normals point.
+
+        One of `turns` neighbouring Gaussians traces a ray into a cell. Irradiances are averaged over neighbours.
 
         Args:
+            smoother: Averages over neighbours.
             normals: The axes, turned to the visible side, shape (N, 3).
             emitters: Index of the emitter to which each Gaussian belongs, -1 for none, shape (N,).
             cells: Environment cells over the sphere.
@@ -275,53 +326,78 @@ class IncidentRays:
         groups = range(int(emitters.max(initial=-1)) + 1)
         hit_sums = np.zeros(len(groups))
         for cell in range(len(cells)):
-            rows, directions, shares = self._sampled_directions(normals, cells, cell)
+            shares, rows, directions, traced = self._sampled_directions(normals, cells, cell)
             hits = self._trace(rows, directions)
             alpha = 1.0 - hits.transmittance.astype(np.float64)
             emitter = np.where(hits.gaussian_index >= 0, emitters[hits.gaussian_index], -1)
-            is_emitter = emitter >= 0
-            hit_sums += np.bincount(emitter[is_emitter], (shares * alpha)[is_emitter], len(groups))
-            observed_radiance = (shares * alpha * ~is_emitter)[:, None] * hit_radiance(hits, alpha)
-            observed[rows] += observed_radiance
-            if stores_directions:
-                by_direction[cell, rows] = observed_radiance
-            environment[cell, rows] = shares * hits.transmittance
-            self._traced(len(normals))
+            radiance = (alpha * (emitter < 0))[:, None] * hit_radiance(hits, alpha)
+            by_emitter = alpha[:, None] * (emitter[:, None] == np.array(groups, int))
+            values = np.concatenate([radiance, hits.transmittance[:, None], by_emitter], axis=1)
+            found = smoother.arriving(shares, rows, traced, values, self._steps)
+            observed += found[:, :3]
+            hit_sums += found[:, 4:].sum(axis=0)
+            if stores_directions and self.turns == 1:
+                by_direction[cell, rows] = traced[:, None] * radiance
+            elif stores_directions:
+                by_direction[cell] = found[:, :3]
+            environment[cell] = found[:, 3]
+            self._traced(len(normals) // self.turns)
         from_emitters = [self._from_emitter(normals, np.flatnonzero(emitters == emitter)) for emitter in groups]
-        shares = np.stack(from_emitters, axis=1) if from_emitters else np.zeros((len(normals), 0))
+        shares = smoother.mean(np.stack(from_emitters, axis=1) if from_emitters else np.zeros((len(normals), 0)))
         brought = shares.sum(axis=0)
         shares *= np.where((brought > 0.0) & (hit_sums > 0.0), hit_sums / np.maximum(brought, 1e-12), 1.0)
         directions = cells.directions if stores_directions else np.zeros((0, 3))
         return Irradiance(
-            observed, np.ascontiguousarray(environment.T), shares.astype(np.float32), directions, by_direction
+            observed,
+            np.ascontiguousarray(environment.T),
+            shares.astype(np.float32),
+            directions,
+            by_direction,
         )
 
-    def from_environment(self, normals: Doubles, cells: EnvironmentCells) -> FloatArray:
+    def from_environment(self, smoother: Smoother, normals: Doubles, cells: EnvironmentCells) -> FloatArray:
         """Returns irradiance / pi at N Gaussians from each of K environment cells with radiance 1, with shadows.
+
+        The arguments are as for `incident`.
 
         Returns:
             Float32 irradiances over pi, shape (N, K).
         """
         environment = np.zeros((len(cells), len(normals)), np.float32)
         for cell in range(len(cells)):
-            rows, directions, shares = self._sampled_directions(normals, cells, cell)
-            environment[cell, rows] = shares * self._transmittance(rows, directions, np.full(len(rows), np.inf))
-            self._traced(len(normals))
+            shares, rows, directions, traced = self._sampled_directions(normals, cells, cell)
+            passed = self._transmittance(rows, directions, np.full(len(rows), np.inf))
+            environment[cell] = smoother.arriving(shares, rows, traced, passed[:, None], self._steps)[:, 0]
+            self._traced(len(normals) // self.turns)
         return np.ascontiguousarray(environment.T)
 
     def _sampled_directions(
         self, normals: Doubles, cells: EnvironmentCells, cell: int
-    ) -> tuple[Rows, Doubles, Doubles]:
-        """Samples for each Gaussian one direction within environment cell number ``cell``.
+    ) -> tuple[Doubles, Rows, Doubles, Doubles]:
+        """Samples directions within environment cell number ``cell`` for the Gaussians whose turn it is.
+
+        If Gaussians take turns, neighbours whose rays form a packet share one direction, because rays then cost less
+        than half.
 
         Returns:
-            Indices of the R Gaussians whose normal faces the direction; the directions, shape (R, 3); and the
-            irradiances over pi that these Gaussians receive from the cell at radiance 1, shape (R,).
+            Irradiances over pi that the N Gaussians receive from the cell at radiance 1 without shadows, shape (N,);
+            indices of the R Gaussians that trace rays; the rays' directions, shape (R, 3); and their weights, shape
+            (R,).
         """
-        directions = cells.directions_within(cell, len(normals), self._rng)
-        cosines = np.einsum("ij,ij->i", normals, directions)
-        rows = self._order[cosines[self._order] > 0.0]
-        return rows, directions[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
+        share = cells.solid_angles[cell] / np.pi
+        if self.turns == 1:
+            directions = cells.directions_within(cell, len(normals), self._rng)
+            shares = share * np.maximum(np.einsum("ij,ij->i", normals, directions), 0.0)
+            rows = self._order[shares[self._order] > 0.0]
+            return shares, rows, directions[rows], shares[rows]
+        quarters = cells.of(np.array([cell])).parts(2).directions
+        shares = share * np.maximum(normals @ quarters.T, 0.0).mean(axis=1)
+        rows = self._order[cell % self.turns :: self.turns]
+        rows = rows[shares[rows] > 0.0]
+        packets = cells.directions_within(cell, -(-len(rows) // PACKET_RAYS), self._rng)
+        directions = np.repeat(packets, PACKET_RAYS, axis=0)[: len(rows)]
+        cosines = np.einsum("ij,ij->i", normals[rows], directions)
+        return shares, rows, directions, share * np.maximum(cosines, COSINE_LEAST)
 
     def _from_emitter(self, normals: Doubles, members: Rows) -> Doubles:
         """Returns irradiance / pi at N Gaussians from an emitter of radiance 1, up to a common factor, shape (N,).

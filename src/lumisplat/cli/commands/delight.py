@@ -31,7 +31,7 @@ class Delight(LevelsCommand, DeviceCommand):
     """Find the materials of a capture, without its captured light.
 
     Needs no images. The lights of a scene then light the capture like a mesh.
-    Takes minutes for 100,000 Gaussians; --cells 8 takes half as long.
+    Takes a minute for 100,000 Gaussians; --cells 8 takes less.
     Guide: docs/guide/delight.md.
     First try: lumisplat delight garden.ply -o garden.relit.ply
     """
