@@ -446,3 +446,6 @@ SURFACE_ALPHA = 0.5
 DEAD_OPACITY = 0.005
 """Opacity below which adaptive densification prunes a Gaussian, and at or below which MCMC relocates it. Kerbl et al.
 2023, Kheradmand et al. 2024."""
+
+OPAQUE_SPAN = 128
+"""Rays of paths at opaque meshes that one thread of a CPU shades, in full lanes but for the last."""

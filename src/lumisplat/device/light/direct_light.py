@@ -131,6 +131,13 @@ def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bo
 
 
 @wp.func
+def emitter_importance(center: wp.vec3, radius: float, power: float, position: wp.vec3) -> float:
+    """Returns ``light_importance`` of all emissive triangles, which a sphere around ``center`` contains."""
+    away = center - position
+    return power / wp.max(wp.max(wp.dot(away, away), radius * radius), TINY)
+
+
+@wp.func
 def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
     """Estimates the luminance of the unshadowed irradiance by light ``number`` at a point; above 0 if it contributes.
 
@@ -138,8 +145,7 @@ def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.
     """
     if number == scene[0].settings[0].light_count:
         emitters = scene[0].emitters
-        away = emitters.center - position
-        return emitters.power / wp.max(wp.max(wp.dot(away, away), emitters.radius * emitters.radius), TINY)
+        return emitter_importance(emitters.center, emitters.radius, emitters.power, position)
     light = scene[0].lights[number]
     if light.kind == LIGHT_ENVIRONMENT:
         return PI * scene[0].environment.mean

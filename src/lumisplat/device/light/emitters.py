@@ -5,6 +5,7 @@ import warp as wp
 from lumisplat.constants import ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
 from lumisplat.device.light.interaction import emission_at
 from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, PI, TWO_PI, angle_of
+from lumisplat.device.math.lanes import picked
 from lumisplat.device.mesh.mesh_surface import surface_alpha
 from lumisplat.device.structs.shading import EmitterTriangle, EnvironmentData, LightSample, ShadingScene
 
@@ -188,9 +189,7 @@ def area_pdf(share: float, across: wp.vec3, direction: wp.vec3, distance2: float
     ``direction`` leads to the point, whose squared distance is ``distance2``.
     """
     projected = 0.5 * wp.abs(wp.dot(across, direction))
-    if projected <= 0.0:
-        return 0.0
-    return share * distance2 / projected
+    return wp.where(projected <= 0.0, 0.0, share * distance2 / projected)
 
 
 @wp.func
@@ -212,30 +211,53 @@ def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> 
 
 
 @wp.func
+def weights_on_triangle(u: wp.vec2) -> wp.vec3:
+    """Returns barycentric weights that are uniform over a triangle; ``u`` is random, 0..1 each."""
+    root = wp.sqrt(u[0])
+    return wp.vec3(1.0 - root, root * (1.0 - u[1]), root * u[1])
+
+
+@wp.func
+def towards_emitter(triangle: EmitterTriangle, share: float, point: wp.vec3, u: wp.vec2) -> LightSample:
+    """Samples a point on an emissive triangle as a light for the surface point ``point``; the irradiance is missing.
+
+    The triangle was chosen with probability ``share``. ``u`` is random, 0..1 each.
+    """
+    sample = LightSample()
+    to_light = point_above(triangle, weights_on_triangle(u), point) - point
+    distance2 = wp.dot(to_light, to_light)
+    distance = wp.sqrt(distance2)
+    sample.direction = picked(distance2 > 0.0, to_light / distance, wp.vec3(0.0))
+    sample.distance = distance * NEARER  # a shadow ray ends before the triangle, despite rounding of its hit
+    sample.pdf = area_pdf(share, triangle.across, sample.direction, distance2)
+    return sample
+
+
+@wp.func
+def chosen_emitter(which: float, scene: wp.array[ShadingScene]) -> int:
+    """Returns an emissive triangle, chosen by power; ``which`` is random, 0..1."""
+    return first_above(scene[0].emitters.ends, 0, scene[0].emitters.ends.shape[0], wp.min(which, BELOW_ONE))
+
+
+@wp.func
+def emitted_from(k: int, u: wp.vec2, direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
+    """Returns the radiance of emissive triangle ``k`` at the point that ``u`` samples, against ``direction``."""
+    number = scene[0].emitters.instances[k]
+    instance = scene[0].mesh_instances[number]
+    corners = scene[0].meshes.indices[instance.face_first + k - scene[0].emitters.first[number]]
+    weights = weights_on_triangle(u)
+    coverage = surface_alpha(instance, scene[0].meshes, corners, weights)
+    return coverage * emission_at(number, corners, weights, direction, scene)
+
+
+@wp.func
 def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[ShadingScene]) -> LightSample:
     """Samples a point on the emissive triangles as a light for the surface point ``point``.
 
     ``which`` selects the triangle and ``u`` the position on it; both are random, 0..1.
     """
-    sample = LightSample()
-    emitters = scene[0].emitters
-    k = first_above(emitters.ends, 0, emitters.ends.shape[0], wp.min(which, BELOW_ONE))
-    number = emitters.instances[k]
-    triangle = emitters.triangles[k]
-    root = wp.sqrt(u[0])
-    weights = wp.vec3(1.0 - root, root * (1.0 - u[1]), root * u[1])
-    to_light = point_above(triangle, weights, point) - point
-    distance2 = wp.dot(to_light, to_light)
-    if distance2 <= 0.0:
-        return sample
-    sample.distance = wp.sqrt(distance2)
-    sample.direction = to_light / sample.distance
-    sample.distance *= NEARER  # a shadow ray ends before the triangle, despite rounding of its hit
-    sample.pdf = area_pdf(emitter_share(k, scene), triangle.across, sample.direction, distance2)
+    k = chosen_emitter(which, scene)
+    sample = towards_emitter(scene[0].emitters.triangles[k], emitter_share(k, scene), point, u)
     if sample.pdf > 0.0:
-        instance = scene[0].mesh_instances[number]
-        corners = scene[0].meshes.indices[instance.face_first + k - emitters.first[number]]
-        coverage = surface_alpha(instance, scene[0].meshes, corners, weights)
-        radiance = coverage * emission_at(number, corners, weights, sample.direction, scene)
-        sample.irradiance = wp.min(radiance / sample.pdf, BRIGHTEST)
+        sample.irradiance = wp.min(emitted_from(k, u, sample.direction, scene) / sample.pdf, BRIGHTEST)
     return sample

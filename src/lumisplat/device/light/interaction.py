@@ -11,6 +11,7 @@ from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.material.microfacets import mean_fresnel, rescattered_share
 from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.math.color import is_black
+from lumisplat.device.math.lanes import picked, unit_of
 from lumisplat.device.mesh.mesh_surface import (
     Layers,
     face_normal,
@@ -22,6 +23,7 @@ from lumisplat.device.mesh.mesh_surface import (
     surface_normal,
     with_layers,
 )
+from lumisplat.device.structs import struct
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData, TextureData
 from lumisplat.device.structs.shading import (
     BSDF_PBR,
@@ -54,12 +56,12 @@ START_COSINE = wp.constant(wp.float32(SMOOTH_START_COSINE))
 
 
 @wp.func
-def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, to_vertex: wp.vec3, normal: wp.vec3) -> float:
+def height_at(world_from_object_normal: wp.mat33, vertex_normal: wp.vec3, to_vertex: wp.vec3, normal: wp.vec3) -> float:
     """Returns the height, above a point of a triangle, of the plane through a vertex with the vertex normal.
 
     The height is measured along ``normal``. ``to_vertex`` leads from the point to the vertex, world space.
     """
-    across = wp.normalize(instance.world_from_object_normal * meshes.normals[vertex])
+    across = unit_of(world_from_object_normal * vertex_normal)
     return wp.dot(across, to_vertex) * wp.dot(across, normal)
 
 
@@ -75,16 +77,41 @@ def smooth_height(
     """
     if instance.has_normals == 0:
         return 0.0
-    p0 = meshes.positions[corners[0]]
-    edge1 = instance.world_from_object * (meshes.positions[corners[1]] - p0)
-    edge2 = instance.world_from_object * (meshes.positions[corners[2]] - p0)
+    return height_above(
+        instance.world_from_object,
+        instance.world_from_object_normal,
+        meshes.positions[corners[0]],
+        meshes.positions[corners[1]],
+        meshes.positions[corners[2]],
+        meshes.normals[corners[0]],
+        meshes.normals[corners[1]],
+        meshes.normals[corners[2]],
+        weights,
+        normal,
+    )
+
+
+@wp.func
+def height_above(
+    world_from_object: wp.mat33,
+    world_from_object_normal: wp.mat33,
+    p0: wp.vec3,
+    p1: wp.vec3,
+    p2: wp.vec3,
+    n0: wp.vec3,
+    n1: wp.vec3,
+    n2: wp.vec3,
+    weights: wp.vec3,
+    normal: wp.vec3,
+) -> float:
+    """Returns ``smooth_height`` of the triangle with these corners and vertex normals in object space."""
+    edge1 = world_from_object * (p1 - p0)
+    edge2 = world_from_object * (p2 - p0)
     point = weights[1] * edge1 + weights[2] * edge2
-    height = weights[0] * height_at(instance, meshes, corners[0], -point, normal)
-    height += weights[1] * height_at(instance, meshes, corners[1], edge1 - point, normal)
-    height += weights[2] * height_at(instance, meshes, corners[2], edge2 - point, normal)
-    if height <= HEIGHT_MIN * (wp.length(edge1) + wp.length(edge2)):
-        return 0.0
-    return height
+    height = weights[0] * height_at(world_from_object_normal, n0, -point, normal)
+    height += weights[1] * height_at(world_from_object_normal, n1, edge1 - point, normal)
+    height += weights[2] * height_at(world_from_object_normal, n2, edge2 - point, normal)
+    return wp.where(height <= HEIGHT_MIN * (wp.length(edge1) + wp.length(edge2)), 0.0, height)
 
 
 @wp.func
@@ -94,10 +121,10 @@ def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contri
     The ray still ends at the same point of the light; with its previous length, it would end behind an emissive
     triangle.
     """
-    if contribution.distance < wp.inf and wp.length_sq(lift) > 0.0:
-        to_light = contribution.distance * contribution.direction - lift
-        contribution.distance = wp.length(to_light)
-        contribution.direction = wp.normalize(to_light)
+    to_light = contribution.distance * contribution.direction - lift
+    moves = contribution.distance < wp.inf and wp.length_sq(lift) > 0.0
+    contribution.distance = wp.where(moves, wp.length(to_light), contribution.distance)
+    contribution.direction = picked(moves, unit_of(to_light), contribution.direction)
     return contribution
 
 
@@ -111,6 +138,12 @@ def lift_of(height: float, normal: wp.vec3, geometric_normal: wp.vec3, direction
     """
     share = wp.clamp(1.0 - wp.dot(geometric_normal, direction) / START_COSINE, 0.0, 1.0)
     return share * height * normal
+
+
+@wp.func
+def lift_towards(direction: wp.vec3, height: float, normal: wp.vec3, geometric_normal: wp.vec3) -> wp.vec3:
+    """Returns ``lift_of``; zero if the triangle approximates no smooth surface, and ``height`` is 0."""
+    return picked(height > 0.0, lift_of(height, normal, geometric_normal, direction), wp.vec3(0.0))
 
 
 # --- BSDFs of materials, and interactions of a wave ---
@@ -298,6 +331,53 @@ def mapped_normal(
     return unit_or(mapped, 1.0e-6, normal)
 
 
+@struct
+class Finish:
+    """Appearance of a mesh at a surface point, textures included, without transmission and layers."""
+
+    color: wp.vec3
+    """Linear base colour."""
+    roughness: float
+    metallic: float
+    normal: wp.vec3
+    """Unit shading normal, world space, pointing out of the mesh."""
+    occlusion: float
+    """Fraction of the environment's light that reaches the surface."""
+
+
+@wp.func
+def finish_at(
+    number: int, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]
+) -> Finish:
+    """Returns the appearance of mesh instance ``number`` at barycentric ``weights`` of a triangle.
+
+    ``normal`` is the shading normal without the normal map.
+    """
+    finish = Finish()
+    k = scene[0].splats.shape[0] + number
+    material = scene[0].materials[k]
+    instance = scene[0].mesh_instances[number]
+    meshes = scene[0].meshes
+    finish.color = surface_color(instance, meshes, corners, weights)
+    finish.roughness = material.roughness
+    finish.metallic = material.metallic
+    finish.normal = normal
+    finish.occlusion = 1.0
+    if material.metallic_roughness_texture.width + material.normal_texture.width + material.occlusion_texture.width > 0:
+        uv = hit_uv(meshes, corners, weights)
+        if material.metallic_roughness_texture.width > 0:
+            factors = texel(meshes, meshes.unit_from_byte, material.metallic_roughness_texture, uv)
+            # Only smooth materials reflect as mirrors: a texel of 0 makes a narrow highlight.
+            finish.roughness = wp.max(material.roughness * factors[1], wp.min(material.roughness, ROUGHNESS_MIN))
+            finish.metallic *= factors[2]
+        if material.normal_texture.width > 0:
+            finish.normal = mapped_normal(material, meshes, instance.world_from_object, corners, uv, normal)
+        if material.occlusion_texture.width > 0:
+            arriving = texel(meshes, meshes.unit_from_byte, material.occlusion_texture, uv)
+            finish.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
+    return finish
+
+
 @wp.func
 def mesh_interaction(
     i: int, transmittance: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
@@ -313,24 +393,10 @@ def mesh_interaction(
     meshes = scene[0].meshes
     corners = meshes.indices[wave[0].meshes.face[i]]
     weights = hit_weights(wave[0].meshes.weights[i])
-    color = surface_color(instance, meshes, corners, weights)
-    roughness = material.roughness
-    metallic = material.metallic
-    normal = surface_normal(instance, meshes, corners, weights)
-    interaction.horizon_normal = normal
-    interaction.occlusion = 1.0
-    if material.metallic_roughness_texture.width + material.normal_texture.width + material.occlusion_texture.width > 0:
-        uv = hit_uv(meshes, corners, weights)
-        if material.metallic_roughness_texture.width > 0:
-            factors = texel(meshes, meshes.unit_from_byte, material.metallic_roughness_texture, uv)
-            # Only smooth materials reflect as mirrors: a texel of 0 makes a narrow highlight.
-            roughness = wp.max(roughness * factors[1], wp.min(roughness, ROUGHNESS_MIN))
-            metallic *= factors[2]
-        if material.normal_texture.width > 0:
-            normal = mapped_normal(material, meshes, instance.world_from_object, corners, uv, normal)
-        if material.occlusion_texture.width > 0:
-            arriving = texel(meshes, meshes.unit_from_byte, material.occlusion_texture, uv)
-            interaction.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
+    interaction.horizon_normal = surface_normal(instance, meshes, corners, weights)
+    finish = finish_at(number, corners, weights, interaction.horizon_normal, scene)
+    normal = finish.normal
+    interaction.occlusion = finish.occlusion
     # Only paths transmit through rough surfaces; elsewhere, the transmitted light is scattered back diffusely.
     lets_through = material.roughness == 0.0 or wave[0].traces_paths != 0
     transmission = wp.where(lets_through, material.transmission, 0.0)
@@ -345,7 +411,13 @@ def mesh_interaction(
     if not boundary.exists:
         return interaction
     interaction.bsdf = bsdf_of(
-        scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission, boundary.eta
+        scene[0].materials,
+        scene[0].splats.shape[0] + number,
+        finish.color,
+        finish.roughness,
+        finish.metallic,
+        transmission,
+        boundary.eta,
     )
     if instance.material.varied > 0:
         interaction.bsdf = with_layers(interaction.bsdf, layers)
@@ -408,6 +480,9 @@ def emission_at(
 @wp.func
 def mesh_emission(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
     """Returns the linear emission and reflected ambient light at the point where ray ``i`` hits a mesh."""
+    k = scene[0].splats.shape[0] + wave[0].meshes.instance[i]
+    if is_black(scene[0].materials[k].emissive) and is_black(scene[0].materials[k].ambient):
+        return wp.vec3(0.0)
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     weights = hit_weights(wave[0].meshes.weights[i])
     return emission_at(wave[0].meshes.instance[i], corners, weights, wave[0].rays.direction[i], scene)

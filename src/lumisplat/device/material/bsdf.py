@@ -31,6 +31,7 @@ from lumisplat.device.material.microfacets import (
 )
 from lumisplat.device.math.color import is_black, mean_of
 from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, around
+from lumisplat.device.math.lanes import picked
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf
 
@@ -342,24 +343,29 @@ def diffuse_factor(enters: float, leaves: float, mean_mirrored: float) -> float:
 @wp.func
 def rough_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
     """Evaluates ``pbr_diffuse`` for rough, opaque surfaces only."""
-    if bsdf.dielectric <= 0.0:
-        return INV_PI * bsdf.diffuse
     enters = 1.0 - rough_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, cos_light)
     leaves = 1.0 - rough_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, cos_view)
-    return diffuse_factor(enters, leaves, bsdf.mean_mirrored) * bsdf.diffuse
+    factor = diffuse_factor(enters, leaves, bsdf.mean_mirrored)
+    return wp.where(bsdf.dielectric <= 0.0, INV_PI, factor) * bsdf.diffuse
 
 
 @wp.func
 def facets_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
     """Evaluates the GGX highlight of BSDF_PBR, per steradian, without the cosine; light is above the horizon."""
     half = view + light
-    length2 = wp.dot(half, half)
-    if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0 or length2 <= HALF_MIN2:
+    if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0 or wp.dot(half, half) <= HALF_MIN2:
         return wp.vec3(0.0)
+    return reflected_by_facets(bsdf, normal, view, light)
+
+
+@wp.func
+def reflected_by_facets(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Returns ``facets_eval`` where there are microfacets that reflect ``light`` to ``view``."""
+    half = view + light
     alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
     # Cook and Torrance's D G / (4 cos cos), whose cosines cancel with those of Smith's G.
     masks = smith_g1(wp.dot(normal, view), alpha) * smith_g1(wp.dot(normal, light), alpha)
-    return (ggx_d(normal, half, alpha) * masks) * reflectance(bsdf, 0.5 * wp.sqrt(length2))
+    return (ggx_d(normal, half, alpha) * masks) * reflectance(bsdf, 0.5 * wp.sqrt(wp.dot(half, half)))
 
 
 @wp.func
@@ -380,14 +386,11 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 @wp.func
 def rough_share(bsdf: Bsdf, cos_view: float) -> float:
     """Returns ``pbr_share`` for rough, opaque surfaces without multiple scattering."""
-    if bsdf.grazing <= 0.0:
-        return 0.0
     specular = mean_of(view_albedo(bsdf, cos_view))
     mirrored = rough_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, cos_view)
     diffuse = (1.0 - mirrored) * mean_of(bsdf.diffuse)
-    if diffuse <= 0.0:
-        return 1.0
-    return specular / (specular + diffuse)
+    share = wp.where(diffuse <= 0.0, 1.0, specular / (specular + diffuse))
+    return wp.where(bsdf.grazing <= 0.0, 0.0, share)
 
 
 @wp.func
@@ -446,11 +449,10 @@ def facets_or_cosine_pdf(
     ``diffuse`` is the pdf of the diffuse lobe.
     """
     half = view + light
-    if share <= 0.0 or wp.dot(half, half) <= HALF_MIN2:
-        return (1.0 - share) * diffuse
     alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
     specular = 0.5 * ggx_d(normal, half, alpha) * smith_g1(wp.dot(normal, view), alpha)
-    return share * specular + (1.0 - share) * diffuse
+    rest = (1.0 - share) * diffuse
+    return wp.where(share <= 0.0 or wp.dot(half, half) <= HALF_MIN2, rest, share * specular + rest)
 
 
 @wp.func
@@ -540,46 +542,73 @@ def base_albedo(bsdf: Bsdf, cos_view: float) -> float:
 # --- Rough, opaque surfaces without layers: the common case, in few instructions ---
 #
 # The functions return what ``bsdf_eval``, ``bsdf_pdf`` and ``sampled_direction`` return for such surfaces, to the bit.
+# Those called ``rough`` are for BSDF_PBR only and have no branches, so that compilers vectorise loops that call them.
+
+
+@wp.func
+def rough_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Returns ``opaque_eval`` of BSDF_PBR."""
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    half = view + light
+    facets = reflected_by_facets(bsdf, normal, view, light)
+    is_flat = bsdf.grazing <= 0.0 or wp.dot(half, half) <= HALF_MIN2 or bsdf.alpha <= 0.0
+    value = rough_diffuse(bsdf, cos_view, cos_light) + picked(is_flat, wp.vec3(0.0), facets)
+    return picked(cos_view > 0.0 and cos_light > 0.0, value, wp.vec3(0.0))
+
+
+@wp.func
+def rough_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Returns ``opaque_pdf`` of BSDF_PBR."""
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    pdf = facets_or_cosine_pdf(bsdf, rough_share(bsdf, cos_view), INV_PI * cos_light, normal, view, light)
+    return wp.where(cos_view > 0.0 and cos_light > 0.0, pdf, 0.0)
 
 
 @wp.func
 def opaque_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
     """Evaluates the BSDF of a rough, opaque surface without layers, per steradian, without the cosine."""
-    cos_view = wp.dot(normal, view)
-    cos_light = wp.dot(normal, light)
-    if cos_view <= 0.0 or cos_light <= 0.0:
+    if bsdf.model != BSDF_SIMPLE:
+        return rough_eval(bsdf, normal, view, light)
+    if wp.dot(normal, view) <= 0.0 or wp.dot(normal, light) <= 0.0:
         return wp.vec3(0.0)
-    if bsdf.model == BSDF_SIMPLE:
-        return simple_eval(bsdf, normal, view, light)
-    return rough_diffuse(bsdf, cos_view, cos_light) + facets_eval(bsdf, normal, view, light)
+    return simple_eval(bsdf, normal, view, light)
 
 
 @wp.func
 def opaque_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
     """Returns the pdf, per steradian, with which ``opaque_direction`` samples ``light``."""
-    cos_view = wp.dot(normal, view)
-    cos_light = wp.dot(normal, light)
-    if cos_view <= 0.0 or cos_light <= 0.0:
+    if bsdf.model != BSDF_SIMPLE:
+        return rough_pdf(bsdf, normal, view, light)
+    if wp.dot(normal, view) <= 0.0 or wp.dot(normal, light) <= 0.0:
         return 0.0
+    return simple_pdf(bsdf, normal, view, light)
+
+
+@wp.func
+def opaque_share(bsdf: Bsdf, cos_view: float) -> float:
+    """Returns the probability with which a rough, opaque surface without layers samples its highlight."""
     if bsdf.model == BSDF_SIMPLE:
-        return simple_pdf(bsdf, normal, view, light)
-    return facets_or_cosine_pdf(bsdf, rough_share(bsdf, cos_view), INV_PI * cos_light, normal, view, light)
+        return simple_share(bsdf)
+    return rough_share(bsdf, cos_view)
+
+
+@wp.func
+def highlight_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2) -> wp.vec3:
+    """Samples a unit direction of the highlight of a rough, opaque surface; zero: no direction was found."""
+    if bsdf.model == BSDF_SIMPLE:
+        return phong_direction(bsdf, normal, view, u)
+    half = facet_mirrored(normal, view, wp.max(bsdf.alpha, ALPHA_GGX_MIN), u)
+    return wp.normalize(2.0 * wp.dot(view, half) * half - view)
 
 
 @wp.func
 def opaque_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
     """Samples a unit direction of a rough, opaque surface without layers; zero: no direction was found."""
-    share = float(0.0)
-    if bsdf.model == BSDF_SIMPLE:
-        share = simple_share(bsdf)
-    else:
-        share = rough_share(bsdf, wp.dot(normal, view))
-    if choice >= share:
+    if choice >= opaque_share(bsdf, wp.dot(normal, view)):
         return around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
-    if bsdf.model == BSDF_SIMPLE:
-        return phong_direction(bsdf, normal, view, u)
-    half = facet_mirrored(normal, view, wp.max(bsdf.alpha, ALPHA_GGX_MIN), u)
-    return wp.normalize(2.0 * wp.dot(view, half) * half - view)
+    return highlight_direction(bsdf, normal, view, u)
 
 
 # --- With layers ---

@@ -124,9 +124,11 @@ def media_of_ray(i: int, wave: wp.array[WaveData]) -> wp.vec4i:
 def boundary_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Boundary:
     """Returns the interface between media at the mesh surface that ray ``i`` hits."""
     number = wave[0].meshes.instance[i]
-    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
-    outward = face_normal(scene[0].mesh_instances[number], scene[0].meshes, corners)
-    from_inside = wp.dot(wave[0].rays.direction[i], outward) > 0.0
+    from_inside = bool(False)
+    if scene[0].mesh_instances[number].material.is_medium != 0:
+        corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+        outward = face_normal(scene[0].mesh_instances[number], scene[0].meshes, corners)
+        from_inside = wp.dot(wave[0].rays.direction[i], outward) > 0.0
     return boundary_of(number, from_inside, media_of_ray(i, wave), scene[0].mesh_instances)
 
 

@@ -223,19 +223,42 @@ def spawn_point(
 
     ``weights`` are barycentric; ``normal``, world space, unit, points to the side on which the ray continues.
     """
-    v0 = meshes.positions[corners[0]]
-    local_edge1 = meshes.positions[corners[1]] - v0
-    local_edge2 = meshes.positions[corners[2]] - v0
+    return point_off_triangle(
+        instance.world_from_object,
+        instance.object_from_world,
+        instance.position,
+        meshes.positions[corners[0]],
+        meshes.positions[corners[1]],
+        meshes.positions[corners[2]],
+        weights,
+        normal,
+    )
+
+
+@wp.func
+def point_off_triangle(
+    world_from_object: wp.mat33,
+    object_from_world: wp.mat33,
+    position: wp.vec3,
+    v0: wp.vec3,
+    v1: wp.vec3,
+    v2: wp.vec3,
+    weights: wp.vec3,
+    normal: wp.vec3,
+) -> wp.vec3:
+    """Returns ``spawn_point`` of the triangle with these corners in object space, whose origin is at ``position``."""
+    local_edge1 = v1 - v0
+    local_edge2 = v2 - v0
     local = v0 + weights[1] * local_edge1 + weights[2] * local_edge2
-    edge1 = instance.world_from_object * local_edge1
-    edge2 = instance.world_from_object * local_edge2
-    first = instance.world_from_object * v0
-    offset = instance.world_from_object * local
+    edge1 = world_from_object * local_edge1
+    edge2 = world_from_object * local_edge2
+    first = world_from_object * v0
+    offset = world_from_object * local
     # The world-space unit normal as a covector of object space: it measures distances along the normal.
-    across = wp.abs(wp.transpose(instance.world_from_object) * normal)
-    sizes = 2.0 * wp.abs(instance.position) + wp.abs(offset) + magnitudes(instance.world_from_object) * wp.abs(local)
+    across = wp.abs(wp.transpose(world_from_object) * normal)
+    sizes = 2.0 * wp.abs(position) + wp.abs(offset) + magnitudes(world_from_object) * wp.abs(local)
     local_sizes = (
-        wp.abs(v0) + wp.abs(local_edge1) + wp.abs(local_edge2) + magnitudes(instance.object_from_world) * wp.abs(offset)
+        wp.abs(v0) + wp.abs(local_edge1) + wp.abs(local_edge2) + magnitudes(object_from_world) * wp.abs(offset)
     )
     error = ERROR * (wp.dot(wp.abs(normal), sizes) + wp.dot(across, local_sizes))
     # A hit's distance is the area-weighted mean of the corners' distances. Its rounding error, half of 2^-24 by
@@ -253,4 +276,4 @@ def spawn_point(
     )
     inner = inner / (inner[0] + inner[1] + inner[2])
     point = first + inner[1] * edge1 + inner[2] * edge2
-    return instance.position + (point + error * normal)
+    return position + (point + error * normal)

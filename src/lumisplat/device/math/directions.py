@@ -4,6 +4,8 @@ import math
 
 import warp as wp
 
+from lumisplat.device.math.lanes import unit_of
+
 HALF_PI = wp.constant(wp.float32(0.5 * math.pi))
 
 PI = wp.constant(wp.float32(math.pi))
@@ -53,6 +55,13 @@ def around(axis: wp.vec3, cosine: float, sine: float, turn: float) -> wp.vec3:
     The polar angle is given by its cosine and sine. The tangents of the axis follow Duff et al. 2017, Building an
     Orthonormal Basis, Revisited.
     """
+    angle = TWO_PI * turn
+    return turned(axis, cosine, sine, wp.cos(angle), wp.sin(angle))
+
+
+@wp.func
+def turned(axis: wp.vec3, cosine: float, sine: float, cos_turn: float, sin_turn: float) -> wp.vec3:
+    """Returns ``around`` from the cosine and sine of the azimuth."""
     sign = float(1.0)
     if axis[2] < 0.0:
         sign = -1.0
@@ -60,8 +69,7 @@ def around(axis: wp.vec3, cosine: float, sine: float, turn: float) -> wp.vec3:
     b = axis[0] * axis[1] * a
     first = wp.vec3(1.0 + sign * axis[0] * axis[0] * a, sign * b, -sign * axis[0])
     second = wp.vec3(b, sign + axis[1] * axis[1] * a, -axis[1])
-    angle = TWO_PI * turn
-    return wp.normalize(cosine * axis + sine * (wp.cos(angle) * first + wp.sin(angle) * second))
+    return unit_of(cosine * axis + sine * (cos_turn * first + sin_turn * second))
 
 
 # --- The octahedral map: a square in which equal areas are equal solid angles (Clarberg 2008) ---

@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.constants import COAT_ROUGHNESS_MIN, SHEEN_ROUGHNESS_MIN
+from lumisplat.device.math.lanes import unit_of
 from lumisplat.device.math.random import branch_key, draw
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.scene import (
@@ -180,9 +181,18 @@ def face_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i)
     It points to the side from which the triangle is counter-clockwise in object space: outwards, also where the
     instance is mirrored and the triangle clockwise in the world.
     """
-    p0 = meshes.positions[corners[0]]
-    normal = wp.cross(meshes.positions[corners[1]] - p0, meshes.positions[corners[2]] - p0)
-    return wp.normalize(instance.world_from_object_normal * normal)
+    return triangle_normal(
+        instance.world_from_object_normal,
+        meshes.positions[corners[0]],
+        meshes.positions[corners[1]],
+        meshes.positions[corners[2]],
+    )
+
+
+@wp.func
+def triangle_normal(world_from_object_normal: wp.mat33, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3) -> wp.vec3:
+    """Returns ``face_normal`` of the triangle with these corners in object space."""
+    return unit_of(world_from_object_normal * wp.cross(p1 - p0, p2 - p0))
 
 
 @wp.func
@@ -190,12 +200,21 @@ def surface_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec
     """Returns the world-space unit shading normal: interpolated, or the triangle's if the mesh has no normals."""
     if instance.has_normals == 0:
         return face_normal(instance, meshes, corners)
-    normal = (
-        weights[0] * meshes.normals[corners[0]]
-        + weights[1] * meshes.normals[corners[1]]
-        + weights[2] * meshes.normals[corners[2]]
+    return smooth_normal(
+        instance.world_from_object_normal,
+        weights,
+        meshes.normals[corners[0]],
+        meshes.normals[corners[1]],
+        meshes.normals[corners[2]],
     )
-    return wp.normalize(instance.world_from_object_normal * normal)
+
+
+@wp.func
+def smooth_normal(
+    world_from_object_normal: wp.mat33, weights: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3
+) -> wp.vec3:
+    """Returns the unit normal, world space, at barycentric ``weights`` between vertex normals in object space."""
+    return unit_of(world_from_object_normal * (weights[0] * n0 + weights[1] * n1 + weights[2] * n2))
 
 
 # --- Textured transmission and layers (docs/method/materials.md#texture-lookup) ---

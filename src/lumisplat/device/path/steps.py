@@ -14,7 +14,6 @@ from lumisplat.device.material.microfacets import dielectric_share, reflect, ref
 from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
 from lumisplat.device.math.color import mean_of
 from lumisplat.device.math.directions import PI
-from lumisplat.device.math.random import sobol_2d
 from lumisplat.device.mesh.mesh_surface import hit_weights
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import Bounce, RayData
@@ -281,18 +280,17 @@ def is_scattering(branch: Branch) -> bool:
 
 
 @wp.func
-def survival(number: int, throughput: wp.vec3, key: wp.uint32, sample: int) -> float:
+def survival(number: int, throughput: wp.vec3, u: float) -> float:
     """Returns the probability with which a path survives Russian roulette after wave ``number``; 0: the path ends.
 
-    The decision is drawn from the low-discrepancy sequence of ``key`` at point ``sample``.
+    ``u``, random, 0..1, decides.
     """
     largest = wp.max(throughput)
-    if not (largest > 0.0 and largest < wp.inf):
-        return 0.0
-    if number + 1 < ROULETTE_FIRST:
-        return 1.0
-    chance = wp.clamp(largest, GOES_ON_MIN, GOES_ON_MAX)
-    return wp.where(sobol_2d(key, sample)[0] < chance, chance, 0.0)
+    chance = float(1.0)
+    if number + 1 >= ROULETTE_FIRST:
+        chance = wp.clamp(largest, GOES_ON_MIN, GOES_ON_MAX)
+        chance = wp.where(u < chance, chance, 0.0)
+    return wp.where(largest > 0.0 and largest < wp.inf, chance, 0.0)
 
 
 @wp.func

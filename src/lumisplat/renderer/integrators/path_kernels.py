@@ -259,7 +259,7 @@ def continue_paths(
     else:
         step = specular_step(i, branch, bounce, scene, wave)
     throughput = wp.cw_mul(factor, step.weight)
-    chance = survival(number, throughput, branch_key(key, ROULETTE_BRANCH), sample)
+    chance = survival(number, throughput, sobol_2d(branch_key(key, ROULETTE_BRANCH), sample)[0])
     if chance <= 0.0:
         return
     store_step(i, step, vertex, wave, steps_out)

@@ -9,7 +9,7 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.render import PATH_PARTS
-from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.constants import OPAQUE_SPAN, SHADE_BANDS_PER_THREAD
 from lumisplat.device.path.contributions import PARTS, PathImages, PathShadowRays
 from lumisplat.device.path.steps import PathData, PathSteps
 from lumisplat.device.structs.rays import RayData
@@ -51,7 +51,10 @@ class PathIntegrator(SampleIntegrator):
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the kernel modules of a frame, without the modules that find primary hits."""
         modules = [path_wave_kernels, *self._tracer.modules(plan, bounced=True)]
-        modules += [opaque_path_kernels] if plan.shades_opaque_paths else [path_kernels, *self._surfaces.modules()]
+        if not plan.shades_opaque_paths:
+            modules += [path_kernels, *self._surfaces.modules()]
+        else:
+            modules += [opaque_path_kernels if self._launcher.is_parallel else opaque_path_kernels.BY_LANES]
         if plan.casts_shadows:
             modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
@@ -163,7 +166,11 @@ class PathIntegrator(SampleIntegrator):
         with self._launcher.stage("shade"):
             if plan.shades_opaque_paths:
                 inputs = number, no_shadows, is_last, opaque_wave(*scene_and_wave, *rows, step_row)
-                run(opaque_path_kernels.shade_opaque_paths, count, *inputs, bands=bands)
+                if self._launcher.is_parallel:
+                    run(opaque_path_kernels.shade_opaque_paths, count, *inputs, bands=bands)
+                else:
+                    spans = -(-count // OPAQUE_SPAN)
+                    run(opaque_path_kernels.shade_opaque_paths_lanes, spans, *inputs, bands=bands)
             else:
                 inputs = number, no_shadows, *scene_and_wave, *rows
                 run(path_kernels.add_hit_radiance, count, *inputs, bands=bands)
