@@ -24,7 +24,8 @@ export HATCH_BUILD_NO_HOOKS := true
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
 
-demo: $(BASE) ## build the demo scene and render it to pictures under out/
+demo: ## build the demo scene and render it to pictures under out/, installing Lumisplat if it is missing
+	@test -x $(BIN)/lumisplat || $(MAKE) --no-print-directory $(BASE)
 	$(BIN)/lumisplat demo -o out
 
 test: $(DEV) ## run the daily suite, a process for each core

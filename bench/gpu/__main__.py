@@ -18,6 +18,7 @@ The exit status is 0 if nothing is wrong. Timings are not judged.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -117,14 +118,14 @@ def main() -> int:
         fill_cache(options.compile)
         return 0
     if options.list:
-        print("\n".join(f"{name}: {', '.join(one.name for one in part)}" for name, part in SLICES.items()))
+        print("\n".join(f"{name}: {quoted(one.name for one in part)}" for name, part in SLICES.items()))
         return 0
     if options.write:
         print("\n".join(write_page(read_report(options.write))) or "nothing written: no figures of a GPU")
         return 0
     steps = {one.name: one for part in SLICES.values() for one in part}
     if unknown := set(options.steps or ()) - steps.keys():
-        given.error(f"no step {', '.join(sorted(unknown))}: use {', '.join(steps)}")
+        given.error(f"no step {quoted(sorted(unknown))}: use {quoted(steps)}")
     is_cpu = options.device == "cpu"
     setting = Setting(
         device=options.device,
@@ -137,7 +138,17 @@ def main() -> int:
     longer = REHEARSAL if is_cpu else 1.0
     asked = [[replace(one, limit_s=longer * one.limit_s) for one in part] for part in asked]
     rows = [row for part in asked for row in run_steps(part, setting, options.out, longer * options.budget)]
-    return 0 if all(row.status in ("ok", "skipped") for row in rows) else 1
+    wrong = [row.step for row in rows if row.status not in ("ok", "skipped")]
+    print(f"{len(rows) - len(wrong)} steps without a fault{', not: ' if wrong else ''}{quoted(wrong)}")
+    print(
+        f"report: {options.out / 'gpu.jsonl'}, {options.out / 'gpu.md'}; docs/guide/measure_a_gpu.md says where to send"
+    )
+    return 1 if wrong else 0
+
+
+def quoted(names: Iterable[str]) -> str:
+    """Returns names of steps as arguments of a command."""
+    return " ".join(f'"{name}"' for name in names)
 
 
 if __name__ == "__main__":

@@ -78,7 +78,7 @@ def test_gpu_laboratory_trains_on_images_made_in_place_where_photographs_are_mis
     monkeypatch.setattr(training, "FOX", tmp_path / "none")
     monkeypatch.setattr(training, "FOX_SIZE", (160, 160))
     monkeypatch.setattr(training, "MADE_VIEWS", 9)
-    (found,) = training.fox(Setting("cpu", [10], 32), "0.25")
+    found, *_ = training.fox(Setting("cpu", [10], 32), "0.25")
     assert found.name == "held out" and " dB in " in str(found.value)
 
 
