@@ -158,7 +158,7 @@ SIDE_ERROR = 1e-6
 used.
 """
 
-GAUSSIANS_PER_TURN = 20_000
+GAUSSIANS_PER_TURN = 30_000
 """Gaussians of captures larger than this take turns: of neighbours, only one traces a ray into an environment cell, and
 16 of these rays share a direction. In smaller captures, neighbours are too far apart for that."""
 
