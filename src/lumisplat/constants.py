@@ -59,6 +59,9 @@ OUTLIER_SHARE = 0.01
 it.
 """
 
+BOUNCES_MAX = 64
+"""Largest number of bounces of a ray, for which arrays are allocated."""
+
 SAMPLES_MAX = 16_777_216
 """Largest number of samples per pixel: beyond 2^24, one more sample no longer changes a float32 mean."""
 

@@ -19,7 +19,7 @@ from lumisplat.config.gaussians import (
 from lumisplat.config.pipelines import READ_BY, READ_IF_LIT, READ_IF_SAMPLED, Pipeline
 from lumisplat.config.realtime import RealtimeConfig
 from lumisplat.config.setting import Seed, frozen, given, take_fields
-from lumisplat.constants import SAMPLES_MAX
+from lumisplat.constants import BOUNCES_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError
 
 CAPTURE_GAIN_MAX = 16.0
@@ -203,7 +203,7 @@ class RenderConfig:
     ``realtime.antialiasing``."""
     seed: Seed = 0
     """Seed of all random numbers: the same seed gives the same image."""
-    max_bounces: Annotated[int, Range(0, 64)] | None = None
+    max_bounces: Annotated[int, Range(0, BOUNCES_MAX)] | None = None
     """Bounces of a ray at most. Trace and hybrid pipelines count reflections, refractions and passes through
     translucent meshes, behind which a ray sees the background. The path pipeline counts bounces of any kind, where 0 is
     direct light. The real-time pipeline counts bounces off smooth surfaces; 0 also switches off its indirect light.

@@ -22,7 +22,7 @@ class SplatParameters:
 
 @struct
 class StepRates:
-    """What changes from step to step in the update of Gaussians: rates of Adam (Kingma and Ba 2015), and the noise."""
+    """Holds the rates of Adam (Kingma and Ba 2015) and the noise with which one step updates Gaussians."""
 
     means: float
     rotations: float

@@ -135,8 +135,10 @@ class Buffers:
             DeviceError: The device is out of memory.
         """
         array = self.get(name, dtype, len(values))
-        if len(values):
-            assign_table(array, values) if values.dtype.kind == "V" else array.assign(values)
+        if len(values) and values.dtype.kind == "V":
+            assign_table(array, values)
+        elif len(values):
+            array.assign(values)
         return array
 
     def table(self, name: str, struct: type[object], rows: Sequence[object]) -> DeviceArray:

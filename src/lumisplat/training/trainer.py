@@ -78,7 +78,6 @@ SH_REST_SHARE = 0.05
 NOISE_STRENGTH = 5e5
 """Factor between the learning rate of the means and the strength of the MCMC position noise. gsplat's value."""
 
-
 HISTORY = 100
 """Largest number of iterations that are launched before the host waits for one and reads its loss."""
 

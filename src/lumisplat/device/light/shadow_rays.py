@@ -78,6 +78,33 @@ def spawn_lift(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> wp.vec3:
 
 
 @wp.func
+def write_shadow_ray(
+    ray: int,
+    number: int,
+    origin: wp.vec3,
+    t_min: float,
+    normal: wp.vec3,
+    towards: Contribution,
+    scene: wp.array[ShadingScene],
+    rays_out: RayData,
+):
+    """Writes shadow ray ``ray`` from a surface with unit ``normal`` to a point of light ``number``.
+
+    The caller sets its random keys.
+    """
+    rays_out.is_active[ray] = True
+    rays_out.origin[ray] = origin
+    rays_out.direction[ray] = towards.direction
+    rays_out.t_min[ray] = t_min
+    rays_out.normal[ray] = normal
+    rays_out.t_max[ray] = towards.distance
+    if number < scene[0].settings[0].light_count:  # else it is an emissive triangle
+        rays_out.t_max[ray] = wp.min(towards.distance, scene[0].lights[number].range)
+    rays_out.path_length[ray] = 0.0
+    rays_out.spread[ray] = 0.0
+
+
+@wp.func
 def start_shadow_ray(
     ray: int,
     j: int,
@@ -89,17 +116,9 @@ def start_shadow_ray(
 ):
     """Writes shadow ray ``ray`` from interaction ``j`` to light ``number``; the caller sets its random keys."""
     origin = spawn_origin(j, contribution.direction, spawn_lift(j, contribution.direction, wave), scene, wave)
-    contribution = aimed_from_lifted_start(contribution, origin - wave[0].interactions.position[j])
-    rays_out.is_active[ray] = True
-    rays_out.origin[ray] = origin
-    rays_out.direction[ray] = contribution.direction
-    rays_out.t_min[ray] = wave[0].interactions.spawn_t_min[j]
-    rays_out.normal[ray] = wave[0].interactions.geometric_normal[j]
-    rays_out.t_max[ray] = contribution.distance
-    if number < scene[0].settings[0].light_count:  # else it is an emissive triangle
-        rays_out.t_max[ray] = wp.min(contribution.distance, scene[0].lights[number].range)
-    rays_out.path_length[ray] = 0.0
-    rays_out.spread[ray] = 0.0
+    towards = aimed_from_lifted_start(contribution, origin - wave[0].interactions.position[j])
+    t_min = wave[0].interactions.spawn_t_min[j]
+    write_shadow_ray(ray, number, origin, t_min, wave[0].interactions.geometric_normal[j], towards, scene, rays_out)
 
 
 # --- Attenuation along a shadow ray ---

@@ -56,11 +56,11 @@ def around(axis: wp.vec3, cosine: float, sine: float, turn: float) -> wp.vec3:
     Orthonormal Basis, Revisited.
     """
     angle = TWO_PI * turn
-    return turned(axis, cosine, sine, wp.cos(angle), wp.sin(angle))
+    return direction_around(axis, cosine, sine, wp.cos(angle), wp.sin(angle))
 
 
 @wp.func
-def turned(axis: wp.vec3, cosine: float, sine: float, cos_turn: float, sin_turn: float) -> wp.vec3:
+def direction_around(axis: wp.vec3, cosine: float, sine: float, cos_turn: float, sin_turn: float) -> wp.vec3:
     """Returns ``around`` from the cosine and sine of the azimuth."""
     sign = float(1.0)
     if axis[2] < 0.0:

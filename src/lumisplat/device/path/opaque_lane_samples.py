@@ -18,16 +18,16 @@ from lumisplat.device.light.direct_light import (
 )
 from lumisplat.device.light.emitters import BELOW_ONE, BRIGHTEST, emitted_from, emitter_share, towards_emitter
 from lumisplat.device.light.interaction import aimed_from_lifted_start, lift_towards
-from lumisplat.device.material.bsdf import (
+from lumisplat.device.material.bsdf import simple_share
+from lumisplat.device.material.opaque_bsdf import (
     highlight_direction,
     opaque_eval,
     opaque_pdf,
     rough_eval,
     rough_pdf,
     rough_share,
-    simple_share,
 )
-from lumisplat.device.math.directions import TWO_PI, turned
+from lumisplat.device.math.directions import TWO_PI, direction_around
 from lumisplat.device.math.lanes import picked, store_vector, vector_in
 from lumisplat.device.math.memory import from_zero
 from lumisplat.device.math.random import branch_key, sobol_2d
@@ -222,7 +222,7 @@ def scatter_lanes(lanes: PathLanes, count: int):
     for lane in range(LANES):
         normal = vector_in(lanes.normal, lane)
         x = lanes.u_direction[lane]
-        direction = turned(normal, wp.sqrt(1.0 - x), wp.sqrt(x), lanes.cos_turn[lane], lanes.sin_turn[lane])
+        direction = direction_around(normal, wp.sqrt(1.0 - x), wp.sqrt(x), lanes.cos_turn[lane], lanes.sin_turn[lane])
         store_vector(lanes.next_direction, lane, direction)
         lanes.highlight[lane] = rough_share(bsdf_in(lanes, lane), wp.dot(normal, vector_in(lanes.wo, lane)))
     for lane in range(count):

@@ -30,8 +30,9 @@ from lumisplat.device.light.interaction import (
     mesh_interaction,
     mesh_spawn_point,
 )
+from lumisplat.device.light.shadow_rays import write_shadow_ray
 from lumisplat.device.light.splat_surface import is_over_light, store_no_ray
-from lumisplat.device.material.bsdf import opaque_direction, opaque_eval, opaque_pdf
+from lumisplat.device.material.opaque_bsdf import opaque_direction, opaque_eval, opaque_pdf
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.lanes import vector_in
 from lumisplat.device.math.memory import from_zero
@@ -124,16 +125,7 @@ def start_light_ray(
     shadows: wp.array[PathShadowRays],
 ):
     """Starts shadow ray ``i`` at ``origin``, on a triangle with unit ``normal``, to a point of light ``number``."""
-    shadows[0].rays.is_active[i] = True
-    shadows[0].rays.origin[i] = origin
-    shadows[0].rays.direction[i] = towards.direction
-    shadows[0].rays.t_min[i] = 0.0
-    shadows[0].rays.normal[i] = normal
-    shadows[0].rays.t_max[i] = towards.distance
-    if number < scene[0].settings[0].light_count:  # else it is an emissive triangle
-        shadows[0].rays.t_max[i] = wp.min(towards.distance, scene[0].lights[number].range)
-    shadows[0].rays.path_length[i] = 0.0
-    shadows[0].rays.spread[i] = 0.0
+    write_shadow_ray(i, number, origin, 0.0, normal, towards, scene, shadows[0].rays)
     shadows[0].rays.pixel_key[i] = branch_key(wave[0].rays.pixel_key[i], SHADOW_BRANCH)
     shadows[0].rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
     shadows[0].rays.sample[i] = wave[0].rays.sample[i]

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from lumisplat.constants import BOUNCES_MAX
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -22,9 +23,6 @@ from lumisplat.renderer.trace.ray_wave import CarriedState, RayWave
 from lumisplat.runtime.buffers import Buffers, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum
-
-WAVES_MAX = 64
-"""Largest number of waves that follow the first: the limit of ``RenderConfig.max_bounces``."""
 
 
 class SpecularWaves:
@@ -40,7 +38,7 @@ class SpecularWaves:
         self._rays = self._growth = 0
         self._capacities: list[int] = []
         """Number of rays allocated for each wave after the first, up to the first wave that has none."""
-        self._counts = buffers.get("wave.counts", wp.int32, WAVES_MAX)
+        self._counts = buffers.get("wave.counts", wp.int32, BOUNCES_MAX)
         """Number of rays of each wave after the first in the current sample, as far as the waves were traced."""
 
     @staticmethod
