@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import socket
 import sys
 import threading
@@ -16,6 +17,7 @@ import pytest
 import websockets
 
 import lumisplat as ls
+from lumisplat.viewer.server.event_queue import press_callback, value_callback
 from lumisplat.viewer.server.guard import Guard, Inbox, is_loopback
 from lumisplat.viewer.server.page_server import AnyThreadEvent, PageServer, listening_socket
 from lumisplat.viewer.thresholds import UPLOAD_BYTES_MAX
@@ -227,6 +229,26 @@ def test_closed_page_server_frees_its_port_and_threads(capfd: pytest.CaptureFixt
         thread.join(timeout=10)
         assert not thread.is_alive(), thread
     assert capfd.readouterr() == ("", "")
+
+
+def test_closing_server_finishes_the_event_that_it_handles() -> None:
+    """The event sets a control, whose callback viser runs in its loop; a stopped loop would never await it."""
+    server = PageServer("127.0.0.1", 0)
+    control = server.viser.gui.add_number("number", 0)
+    control.on_update(value_callback(int, print))
+    started, may_finish = threading.Event(), threading.Event()
+
+    def set_control(_: object) -> None:
+        started.set()
+        may_finish.wait()
+        control.value = 1
+
+    asyncio.run_coroutine_threadsafe(press_callback(set_control)(object()), server.viser.get_event_loop())
+    started.wait()
+    threading.Timer(0.3, may_finish.set).start()
+    server.close()
+    assert control.value == 1
+    gc.collect()
 
 
 # --- Messages from pages ---

@@ -89,11 +89,11 @@ class PageServer:
         connection.register_handler(camera_stopped_message(), handle)
 
     def close(self) -> None:
-        """Closes the port and all connections; events of pages that wait in the queue are dropped silently."""
+        """Closes the port and all connections; finishes the event it handles, and drops all that wait."""
         loop = self.viser.get_event_loop()
         loop.set_exception_handler(_ignore)
         self._is_open = False
-        asyncio.run_coroutine_threadsafe(_cancel_pending_events(), loop).result()
+        asyncio.run_coroutine_threadsafe(_drop_pending_events(), loop).result()
         with _quiet():
             self.viser.stop()
 
@@ -181,13 +181,18 @@ def _refuse_to_share(verbose: bool = True) -> None:
     _log.warning("a page asked for a public share URL, which the viewer does not support")
 
 
-async def _cancel_pending_events() -> None:
-    """Cancels all asyncio tasks that handle or queue page messages. Runs in the server's event loop."""
+async def _drop_pending_events() -> None:
+    """Cancels all asyncio tasks that handle or queue page messages, and waits for the event that a thread handles.
+
+    Runs in the server's event loop, which must go on until then: where an event sets a control, the control's callback
+    runs in the loop.
+    """
     names = ("WebsockMessageHandler._handle_incoming_message", "queued_callback.<locals>.callback")
     asked = [task for task in asyncio.all_tasks() if getattr(task.get_coro(), "__qualname__", "") in names]
     for task in asked:
         task.cancel()
     await asyncio.gather(*asked, return_exceptions=True)
+    await asyncio.get_running_loop().shutdown_default_executor()
 
 
 def _ignore(_: object, context: dict[str, Any]) -> None:
