@@ -173,8 +173,10 @@ def test_viewer_renders_in_full_at_once_after_a_page_has_said_that_its_camera_st
         page.look(camera(0.5))
         page.stop()
         (stopped,) = viewer._pages.values()
-        eventually(lambda: stopped._has_stopped, "no stop arrived")
-        ends.set()  # the render thread sees the camera and its stop together
+        try:
+            eventually(lambda: stopped._has_stopped, "no stop arrived")
+        finally:
+            ends.set()  # the render thread sees the camera and its stop together
         after = settled(viewer, page)
     assert difference(before, after) > 0.5 and steps
     assert [step is None for step in steps] == ([] if is_fast else [False]) + [True] * 4
