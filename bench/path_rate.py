@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from collections.abc import Callable, Generator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -221,7 +222,8 @@ def mitsuba_mesh(mi: Any, mesh: ls.Mesh, path: Path) -> dict[str, Any]:
 
 def ray_costs(scene: ls.Scene, view: ls.Camera, device: str, clock: Callable[[], float]) -> tuple[float, float]:
     """Returns nanoseconds to find the hits of a camera ray and of a bounced ray."""
-    renderer = ls.create_renderer(config(1), device, profile=True)  # without graphs, in which nothing is timed
+    # Frames with layers trace all paths by waves, and without graphs, in which nothing is timed.
+    renderer = ls.create_renderer(replace(config(1), aovs=("bounces",)), device, profile=True)
     renderer.render(scene, view)
     least = (float("inf"), float("inf"))
     for _ in range(REPEATS):

@@ -6,12 +6,14 @@ paths at a time, and CUDA's schedule shades one.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import OPAQUE_BLOCK, TILE_BANDS_PER_THREAD
 from lumisplat.demo.shapes import sphere
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.runtime.launcher import Launcher
@@ -131,3 +133,16 @@ def test_scenes_with_other_materials_are_shaded_by_the_kernels_for_all_scenes(ot
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH)
     assert FramePlan.of(config, ls.Scene(meshes=[FLOOR])).shades_opaque_paths
     assert not FramePlan.of(config, ls.Scene(meshes=[FLOOR, other])).shades_opaque_paths
+
+
+def test_blocks_of_paths_do_not_depend_on_threads() -> None:
+    """The image has several blocks of rays, the last one is short, and a thread takes more than one of them."""
+    view = replace(VIEW, width=211, height=97)
+    scene = ls.Scene(meshes=[body(MATERIALS["cut out"]), FLOOR, EMITTER], lights=LIGHTS)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1, max_bounces=6)
+    assert view.width * view.height > OPAQUE_BLOCK * TILE_BANDS_PER_THREAD
+    one, three = (ls.Renderer(config, Launcher("cpu", threads=threads)).render(scene, view) for threads in (1, 3))
+    layered = replace(config, aovs=("bounces",))
+    waves = ls.Renderer(layered, Launcher("cpu", threads=2)).render(scene, view)
+    np.testing.assert_array_equal(one.color, three.color)
+    np.testing.assert_array_equal(one.color, waves.color)

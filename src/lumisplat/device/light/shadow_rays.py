@@ -78,6 +78,14 @@ def spawn_lift(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> wp.vec3:
 
 
 @wp.func
+def reach_of(number: int, distance: float, scene: wp.array[ShadingScene]) -> float:
+    """Returns where a shadow ray to a point of light ``number`` at this distance ends."""
+    if number < scene[0].settings[0].light_count:  # else it is an emissive triangle
+        return wp.min(distance, scene[0].lights[number].range)
+    return distance
+
+
+@wp.func
 def write_shadow_ray(
     ray: int,
     number: int,
@@ -97,9 +105,7 @@ def write_shadow_ray(
     rays_out.direction[ray] = towards.direction
     rays_out.t_min[ray] = t_min
     rays_out.normal[ray] = normal
-    rays_out.t_max[ray] = towards.distance
-    if number < scene[0].settings[0].light_count:  # else it is an emissive triangle
-        rays_out.t_max[ray] = wp.min(towards.distance, scene[0].lights[number].range)
+    rays_out.t_max[ray] = reach_of(number, towards.distance, scene)
     rays_out.path_length[ray] = 0.0
     rays_out.spread[ray] = 0.0
 

@@ -26,6 +26,7 @@ from lumisplat.device.bvh.nodes import (
 from lumisplat.device.mesh.mesh_surface import hit_weights, passes_alpha_test
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import FAR, NO_CHILD, Children, MeshBvh, Node, TriangleLeaf
+from lumisplat.device.structs.rays import MeshHits
 from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshInstanceData
 
 
@@ -416,3 +417,15 @@ def nearest_triangle(
         if lanes == 0:
             link = next_waiting(stack, top, 0, nearest.t)
     return nearest
+
+
+@wp.func
+def store_hit(i: int, hit: MeshHit, scene: MeshBvh, hits_out: MeshHits):
+    """Writes the nearest triangle on ray ``i``."""
+    face = int(-1)
+    if hit.face >= 0:
+        face = scene.instances[hit.instance].face_first + hit.face
+    hits_out.t[i] = hit.t
+    hits_out.face[i] = face
+    hits_out.instance[i] = hit.instance
+    hits_out.weights[i] = hit.weights

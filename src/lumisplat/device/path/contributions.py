@@ -450,7 +450,7 @@ def add_hit_lights(
         crossing = hit_light(i, light, no_shadows, paths, scene, wave)
         value = wp.cw_mul(paths[0].throughput[i], crossing.radiance)
         if number == 0 and crossing.t < end:
-            wave[0].radiance.alpha[i] = 1.0
+            wave[0].radiance.alpha[paths[0].root[i]] = 1.0
         if is_hazy and crossing.t < wp.inf:
             hit_count += 1
             if draw(key, wp.uint32(light)) * float(hit_count) < 1.0:

@@ -137,6 +137,19 @@ ROULETTE_BRANCH = wp.constant(8)
 
 
 @wp.func
+def start_path(root: int, i: int, paths_out: wp.array[PathData]):
+    """Writes the state of path ``i``, which starts with camera ray ``root``."""
+    paths_out[0].root[i] = root
+    paths_out[0].throughput[i] = wp.vec3(1.0)
+    paths_out[0].pdf[i] = 0.0
+    paths_out[0].position[i] = wp.vec3(0.0)
+    paths_out[0].normal[i] = wp.vec3(0.0)
+    paths_out[0].importance[i] = 0.0
+    paths_out[0].is_specular[i] = True
+    paths_out[0].for_catcher[i] = False
+
+
+@wp.func
 def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -> float:
     """Estimates which fraction of the ray's light interaction ``j`` scatters; above 0 wherever it scatters any.
 

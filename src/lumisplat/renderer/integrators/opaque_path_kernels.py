@@ -1,13 +1,13 @@
-"""Path tracing of scenes of opaque meshes: one kernel does all shading of a wave. One thread per ray.
+"""Path tracing of scenes of opaque meshes: a kernel that does all shading of a wave, and one that follows whole paths.
 
-It computes what ``shade_surfaces``, ``add_hit_radiance`` and ``continue_paths`` compute for these scenes, to the bit.
-But a surface stays in registers, where those kernels write its interaction to memory and read it again, and the
-compiler leaves out Gaussians, glass, clearcoat and sheen. The equations are in docs/method/paths.md.
+They compute what ``shade_surfaces``, ``add_hit_radiance``, ``continue_paths`` and the kernels of rays compute for these
+scenes, to the bit. But a surface stays in registers, where those kernels write its interaction to memory and read it
+again, and the compiler leaves out Gaussians, glass, clearcoat and sheen. The equations are in docs/method/paths.md.
 """
 
 import warp as wp
 
-from lumisplat.constants import OPAQUE_SPAN
+from lumisplat.device.bvh.nodes import UnsortedStackStorage, WordStackStorage, unsorted_stack, word_stack
 from lumisplat.device.light.direct_light import (
     CHOICE_BRANCH,
     POINT_BRANCH,
@@ -15,7 +15,6 @@ from lumisplat.device.light.direct_light import (
     arrives,
     casts_shadow,
     chosen_light,
-    environment_number,
     irradiance_of,
     power_heuristic,
     sample_of_choice,
@@ -26,25 +25,25 @@ from lumisplat.device.light.interaction import (
     SHADE_OPTIONS,
     aimed_from_lifted_start,
     lift_towards,
-    mesh_emission,
     mesh_interaction,
     mesh_spawn_point,
 )
 from lumisplat.device.light.shadow_rays import write_shadow_ray
-from lumisplat.device.light.splat_surface import is_over_light, store_no_ray
 from lumisplat.device.material.opaque_bsdf import opaque_direction, opaque_eval, opaque_pdf
 from lumisplat.device.math.color import is_black
-from lumisplat.device.math.lanes import vector_in
 from lumisplat.device.math.memory import from_zero
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.path.contributions import (
-    PathImages,
-    PathShadowRays,
-    add_hit_lights,
-    add_light,
-    clear_shadow_ray,
-    emitted_share,
-    ray_escaped_radiance,
+from lumisplat.device.path.contributions import PathShadowRays, clear_shadow_ray
+from lumisplat.device.path.opaque_blocks import (
+    BLOCK,
+    OpaqueBlocks,
+    OpaqueWave,
+    add_lane_light,
+    add_ray_light,
+    begin_block,
+    begin_camera_ray,
+    store_next_ray,
+    trace_block,
 )
 from lumisplat.device.path.opaque_lane_samples import (
     choose_lights,
@@ -71,18 +70,13 @@ from lumisplat.device.path.steps import (
     DIRECTION_BRANCH,
     ROULETTE_BRANCH,
     SURFACE_BRANCH,
-    PathData,
     PathStep,
-    PathSteps,
     store_step,
     survival,
 )
-from lumisplat.device.structs import struct
 from lumisplat.device.structs.shading import (
-    SEES_ENVIRONMENT,
     Contribution,
     Interaction,
-    PathVertex,
     ShadingScene,
     WaveData,
 )
@@ -103,17 +97,6 @@ def opaque_interaction(i: int, scene: wp.array[ShadingScene], wave: wp.array[Wav
 
 
 @wp.func
-def show_camera_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes what camera ray ``i`` shows besides light: the background, and its alpha."""
-    over_light = is_over_light(i, scene, wave)
-    covers = wave[0].meshes.face[i] >= 0 or scene[0].settings[0].camera_sees == SEES_ENVIRONMENT
-    wave[0].radiance.captured[i] = wp.where(over_light, wp.vec3(0.0), scene[0].settings[0].background)
-    wave[0].radiance.captured_weight[i] = wp.where(over_light, 0.0, 1.0)
-    wave[0].radiance.light[i] = wp.vec3(0.0)
-    wave[0].radiance.alpha[i] = wp.where(covers, 1.0, 0.0)
-
-
-@wp.func
 def start_light_ray(
     i: int,
     number: int,
@@ -129,65 +112,6 @@ def start_light_ray(
     shadows[0].rays.pixel_key[i] = branch_key(wave[0].rays.pixel_key[i], SHADOW_BRANCH)
     shadows[0].rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
     shadows[0].rays.sample[i] = wave[0].rays.sample[i]
-
-
-@struct
-class OpaqueWave:
-    """Arrays that ``shade_opaque_paths`` reads and writes, all with one row.
-
-    They are one argument, because Warp compiles kernels with arrays as arguments twice, and then LLVM inlines less.
-    """
-
-    scene: wp.array[ShadingScene]
-    wave: wp.array[WaveData]
-    """The rays of the wave and their hits; receives what camera rays show besides light."""
-    paths: wp.array[PathData]
-    shadows: wp.array[PathShadowRays]
-    """Receives shadow rays to the lights."""
-    images: wp.array[PathImages]
-    """Receives the radiance."""
-    steps: wp.array[PathSteps]
-    """Receives the next rays of the paths."""
-
-
-@wp.func
-def begin_shading(i: int, number: int, no_shadows: bool, rows: OpaqueWave) -> bool:
-    """Adds the radiance that ray ``i`` hits, and clears its shadow ray and step; returns whether it hits a mesh."""
-    scene = rows.scene
-    wave = rows.wave
-    paths = rows.paths
-    shadows = rows.shadows
-    images = rows.images
-    steps = rows.steps
-    steps[0].goes_on[i] = 0
-    clear_shadow_ray(i, shadows)
-    if not wave[0].rays.is_active[i]:
-        if number == 0:
-            store_no_ray(i, scene, wave)
-        return False
-    if number == 0:
-        show_camera_ray(i, scene, wave)
-    throughput = paths[0].throughput[i]
-    root = paths[0].root[i]
-    lights = scene[0].settings[0].light_count
-    hits = wave[0].meshes.face[i] >= 0
-    if hits:
-        emitted = mesh_emission(i, scene, wave)
-        if not is_black(emitted):
-            if number > 0:
-                mis_weight = emitted_share(i, no_shadows, paths, scene, wave)
-                if mis_weight < 1.0:
-                    emitted += (mis_weight - 1.0) * emitted
-            add_light(root, False, wp.cw_mul(throughput, emitted), number, lights, lights, wp.vec3(0.0), images)
-    else:
-        escaped = ray_escaped_radiance(i, number, no_shadows, paths, scene, wave)
-        index = environment_number(scene)
-        if index < 0:
-            index = lights
-        add_light(root, False, wp.cw_mul(throughput, escaped), number, index, lights, wp.vec3(0.0), images)
-    if lights > 0:
-        add_hit_lights(i, number, no_shadows, scene, wave, paths, shadows, images)
-    return hits
 
 
 @wp.kernel
@@ -207,7 +131,15 @@ def shade_opaque_paths(start: int, number: int, no_shadows: bool, is_last: bool,
     shadows = rows.shadows
     steps = rows.steps
     i = from_zero(start + wp.tid())
-    if not begin_shading(i, number, no_shadows, rows) or is_last:
+    steps[0].goes_on[i] = 0
+    clear_shadow_ray(i, shadows)
+    exists = wave[0].rays.is_active[i]
+    if number == 0:
+        exists = begin_camera_ray(i, scene, wave)
+    hits = bool(False)
+    if exists:
+        hits = add_ray_light(i, number, no_shadows, rows)
+    if is_last or not hits:
         return
     throughput = paths[0].throughput[i]
     interaction = opaque_interaction(i, scene, wave)
@@ -275,76 +207,66 @@ BY_LANES = wp.get_module(f"{__name__}.lanes")
 # Loops over lanes must stay loops for the vectoriser.
 wp.set_module_options(SHADE_OPTIONS | {"max_unroll": 4}, BY_LANES)
 
-SPAN = wp.constant(OPAQUE_SPAN)
-
-
-@wp.func
-def store_lanes(lanes: PathLanes, count: int, number: int, no_shadows: bool, rows: OpaqueWave):
-    """Writes shadow rays and steps of the first ``count`` lanes."""
-    scene = rows.scene
-    wave = rows.wave
-    shadows = rows.shadows
-    steps = rows.steps
-    for lane in range(count):
-        i = from_zero(lanes.ray[lane])
-        normal = vector_in(lanes.geometric_normal, lane)
-        contribution = vector_in(lanes.contribution, lane)
-        if not is_black(contribution):
-            shadows[0].contributions[i] = contribution
-            shadows[0].opaque[i] = lanes.with_mis[lane] != 0
-            shadows[0].lights[i] = lanes.light[lane]
-            if not no_shadows and casts_shadow(lanes.light[lane], scene):
-                towards = Contribution()
-                towards.direction = vector_in(lanes.direction, lane)
-                towards.distance = lanes.distance[lane]
-                origin = vector_in(lanes.light_origin, lane)
-                start_light_ray(i, lanes.light[lane], origin, towards, normal, scene, wave, shadows)
-        if lanes.next_pdf[lane] > 0.0:
-            step = PathStep()
-            step.direction = vector_in(lanes.next_direction, lane)
-            step.pdf = lanes.next_pdf[lane]
-            step.layer_normal = normal
-            step.origin = vector_in(lanes.next_origin, lane)
-            vertex = PathVertex()
-            vertex.position = vector_in(lanes.position, lane)
-            vertex.normal = vector_in(lanes.normal, lane)
-            vertex.importance = lanes.importance[lane]
-            store_step(i, step, vertex, wave, steps)
-            steps[0].paths.throughput[i] = vector_in(lanes.next_throughput, lane)
-            steps[0].paths.is_specular[i] = False
-            steps[0].paths.for_catcher[i] = False
-
 
 @wp.kernel(module=BY_LANES)
-def shade_opaque_paths_lanes(start: int, number: int, no_shadows: bool, is_last: bool, rows: OpaqueWave):
-    """Per ``SPAN`` rays: does what ``shade_opaque_paths`` does for each of them."""
-    first = from_zero(SPAN * (start + wp.tid()))
-    rays = rows.wave[0].rays.is_active.shape[0]
-    end = wp.min(first + SPAN, rays)
+def follow_opaque_paths(start: int, blocks: OpaqueBlocks):
+    """Per thread: follows the paths of every ``threads``-th block of camera rays, bounce by bounce.
+
+    Rays that a block follows lie without gaps in memory for ``BLOCK`` rays, which the thread's next block reuses. A
+    ray is written over one that has been shaded.
+
+    Args:
+        start: Offset added to the thread index.
+        blocks: The camera rays with their hits, the scene, and the arrays that receive the results.
+    """
+    thread = from_zero(start + wp.tid())
     memory = PathMemory()
     lanes = PathLanes()
     point_lanes(memory, lanes)
-    count = int(0)
-    for i in range(first, end):
-        if begin_shading(i, number, no_shadows, rows) and not is_last:
-            lanes.ray[count] = i
-            count += 1
-        if count == LANES or (i == end - 1 and count > 0):
-            is_smooth = load_hits(lanes, count, rows.paths, rows.scene, rows.wave)
-            place_lanes(lanes, is_smooth)
-            has_simple = load_bsdfs(lanes, count, rows.scene, rows.wave)
-            turn_lanes(lanes, is_smooth)
-            draw_for_lanes(lanes)
-            choose_lights(lanes, count, rows.scene)
-            if sample_lights(lanes, count, no_shadows, rows.scene):
-                sample_emitters(lanes, count, rows.scene)
-            reflect_lights(lanes)
-            if has_simple:
-                replace_simple(lanes, count, False)
-            scatter_lanes(lanes, count)
-            follow_lanes(lanes)
-            if has_simple:
-                replace_simple(lanes, count, True)
-            end_lanes(lanes, number)
-            store_lanes(lanes, count, number, no_shadows, rows)
-            count = 0
+    words = WordStackStorage()
+    nearest_stack = word_stack(words)
+    links = UnsortedStackStorage()
+    shadow_stack = unsorted_stack(links)
+    base = thread * BLOCK
+    rays = blocks.camera[0].rays.is_active.shape[0]
+    first = base
+    while first < rays:
+        alive = begin_block(first, base, blocks)
+        number = int(0)
+        while alive > 0:
+            is_last = number > blocks.max_bounces
+            followed = int(0)
+            count = int(0)
+            end = base + alive
+            for k in range(base, end):
+                i = from_zero(k)
+                if add_ray_light(i, number, blocks.no_shadows, blocks.rows) and not is_last:
+                    lanes.ray[count] = i
+                    count += 1
+                if count == LANES or (k == end - 1 and count > 0):
+                    is_smooth = load_hits(lanes, count, blocks.rows.paths, blocks.rows.scene, blocks.rows.wave)
+                    place_lanes(lanes, is_smooth)
+                    has_simple = load_bsdfs(lanes, count, blocks.rows.scene, blocks.rows.wave)
+                    turn_lanes(lanes, is_smooth)
+                    draw_for_lanes(lanes)
+                    choose_lights(lanes, count, blocks.rows.scene)
+                    if sample_lights(lanes, count, blocks.no_shadows, blocks.rows.scene):
+                        sample_emitters(lanes, count, blocks.rows.scene)
+                    reflect_lights(lanes)
+                    if has_simple:
+                        replace_simple(lanes, count, False)
+                    scatter_lanes(lanes, count)
+                    follow_lanes(lanes)
+                    if has_simple:
+                        replace_simple(lanes, count, True)
+                    end_lanes(lanes, number)
+                    for lane in range(count):
+                        add_lane_light(shadow_stack, lanes, lane, number, blocks)
+                        if lanes.next_pdf[lane] > 0.0:
+                            store_next_ray(lanes, lane, from_zero(base + followed), blocks.rows)
+                            followed += 1
+                    count = 0
+            alive = followed
+            trace_block(nearest_stack, base, base + alive, blocks.meshes, blocks.rows.wave)
+            number += 1
+        first += blocks.threads * BLOCK

@@ -16,7 +16,7 @@ from lumisplat.device.path.contributions import (
     add_unshadowed_samples,
     diffuse_of,
 )
-from lumisplat.device.path.steps import PathData, PathSteps
+from lumisplat.device.path.steps import PathData, PathSteps, start_path
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
@@ -27,14 +27,7 @@ wp.set_module_options(SHADE_OPTIONS)
 def begin_paths(start: int, paths_out: wp.array[PathData]):
     """Per camera ray: starts a path."""
     i = start + wp.tid()
-    paths_out[0].root[i] = i
-    paths_out[0].throughput[i] = wp.vec3(1.0)
-    paths_out[0].pdf[i] = 0.0
-    paths_out[0].position[i] = wp.vec3(0.0)
-    paths_out[0].normal[i] = wp.vec3(0.0)
-    paths_out[0].importance[i] = 0.0
-    paths_out[0].is_specular[i] = True
-    paths_out[0].for_catcher[i] = False
+    start_path(i, i, paths_out)
     if paths_out[0].media:
         paths_out[0].media[i] = wp.vec4i(0)
 

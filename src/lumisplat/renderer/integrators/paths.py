@@ -9,12 +9,13 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.config.render import PATH_PARTS
-from lumisplat.constants import OPAQUE_SPAN, SHADE_BANDS_PER_THREAD
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.path.contributions import PARTS, PathImages, PathShadowRays
+from lumisplat.device.path.opaque_blocks import OpaqueWave
 from lumisplat.device.path.steps import PathData, PathSteps
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.integrators import opaque_path_kernels, path_kernels, path_wave_kernels
-from lumisplat.renderer.integrators.opaque_path_kernels import OpaqueWave
+from lumisplat.renderer.integrators.opaque_paths import OpaquePaths
 from lumisplat.renderer.integrators.sample_integrator import SampleIntegrator
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -46,15 +47,18 @@ class PathIntegrator(SampleIntegrator):
         self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
         self._surfaces = Surfaces(launcher, buffers)
         self._shadows = ShadowRays(launcher, buffers, config)
+        self._opaque = OpaquePaths(launcher, buffers)
         self._layers = PathLayers(buffers)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the kernel modules of a frame, without the modules that find primary hits."""
+        if self._follows_blocks(plan):
+            return self._opaque.modules()
         modules = [path_wave_kernels, *self._tracer.modules(plan, bounced=True)]
         if not plan.shades_opaque_paths:
             modules += [path_kernels, *self._surfaces.modules()]
         else:
-            modules += [opaque_path_kernels if self._launcher.is_parallel else opaque_path_kernels.BY_LANES]
+            modules += [opaque_path_kernels]
         if plan.casts_shadows:
             modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
@@ -76,6 +80,10 @@ class PathIntegrator(SampleIntegrator):
 
     def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
         """Traces the paths that begin at the camera rays' hits, bounce by bounce; returns the camera rays' radiance."""
+        if self._follows_blocks(plan):
+            first = self._surfaces.unshaded(plan, hits, 0, "path.wave0")
+            self._opaque.follow(scene, plan, first, self._layers.begin(plan, first, lights=len(scene.lights.names)))
+            return first
         paths = self._begin(plan, hits)
         first = wave = self._wave(scene, plan, hits, paths, 0)
         if first.count == 0:
@@ -96,6 +104,10 @@ class PathIntegrator(SampleIntegrator):
                 self._add_captured(scene, plan, wave, paths, images)
             steps = self._extend(scene, plan, number, wave=wave, paths=paths, images=images)
         return first
+
+    def _follows_blocks(self, plan: FramePlan) -> bool:
+        """Returns whether one kernel follows the paths of each block of camera rays over all bounces, without waves."""
+        return plan.shades_opaque_paths and not self._launcher.is_parallel
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """Returns the layers by light, bounce and BSDF lobe that the frame requests, from the last `shade`."""
@@ -166,11 +178,7 @@ class PathIntegrator(SampleIntegrator):
         with self._launcher.stage("shade"):
             if plan.shades_opaque_paths:
                 inputs = number, no_shadows, is_last, opaque_wave(*scene_and_wave, *rows, step_row)
-                if self._launcher.is_parallel:
-                    run(opaque_path_kernels.shade_opaque_paths, count, *inputs, bands=bands)
-                else:
-                    spans = -(-count // OPAQUE_SPAN)
-                    run(opaque_path_kernels.shade_opaque_paths_lanes, spans, *inputs, bands=bands)
+                run(opaque_path_kernels.shade_opaque_paths, count, *inputs, bands=bands)
             else:
                 inputs = number, no_shadows, *scene_and_wave, *rows
                 run(path_kernels.add_hit_radiance, count, *inputs, bands=bands)

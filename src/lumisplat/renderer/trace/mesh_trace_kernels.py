@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.device.bvh.nodes import WordStackStorage, word_stack
 from lumisplat.device.math.memory import from_zero
-from lumisplat.device.mesh.mesh_rays import nearest_triangle
+from lumisplat.device.mesh.mesh_rays import nearest_triangle, store_hit
 from lumisplat.device.structs.bvh import MeshBvh
 from lumisplat.device.structs.rays import MeshHits, RayData
 
@@ -21,11 +21,7 @@ def find_hit(stack: wp.array[wp.uint64], i: int, bounced: bool, scene: MeshBvh, 
     if not rays.is_active[i] or not t_max > t_min:
         return
     hit = nearest_triangle(stack, rays.origin[i], rays.direction[i], t_min, t_max, rays.sample_key[i], scene)
-    hits_out.t[i] = hit.t
-    if hit.face >= 0:
-        hits_out.face[i] = scene.instances[hit.instance].face_first + hit.face
-    hits_out.instance[i] = hit.instance
-    hits_out.weights[i] = hit.weights
+    store_hit(i, hit, scene, hits_out)
 
 
 @wp.kernel(launch_bounds=(256, 2))
