@@ -5,6 +5,7 @@ The environment is piecewise constant over cells of the sphere; the cells are sm
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,10 @@ LIGHT_STEP_MAX = 0.7
 
 LIGHT_CONVERGED = 1e-3
 """The Gauss-Newton steps end when no radiance changes by more than this, in natural logarithm."""
+
+HESSIAN_KEPT = 0.1
+"""Gauss-Newton steps keep the Hessian once no radiance changed by more than this, in natural logarithm. The weights of
+the pairs then converge slowest, so that a new Hessian in each step would not save steps."""
 
 PAIRS_AT_ONCE = 1024
 """Number of pairs of Gaussians whose derivatives are computed at once, 2 MB."""
@@ -172,21 +177,22 @@ class AlbedoPairFit:
         pairs = pairs.reshape(-1, 2)
         columns = np.concatenate([self.incident.environment[rows], self.incident.emitters[rows]], axis=1)
         log_outgoing, observed = np.log(np.maximum(self.outgoing[rows], RADIANCE_LEAST)), self.incident.observed[rows]
+        inverses, largest = np.empty((3, *prior.shape)), math.inf
         for _ in range(LIGHT_STEPS):
             irradiance = np.maximum(observed + columns @ radiances.astype(np.float32), RADIANCE_LEAST)
             differences = log_outgoing - np.log(irradiance)
             differences = differences[pairs[:, 0]] - differences[pairs[:, 1]]
             weights = self._weights(differences, width)
-            change = np.log(radiances / first)
-            largest = 0.0
-            for channel in range(3):
-                slopes = columns * (radiances[:, channel] / irradiance[:, channel, None]).astype(np.float32)
-                hessian, gradient = _normal_equations(slopes, pairs, weights[:, channel], differences[:, channel])
-                hessian, gradient = hessian + prior, gradient + prior @ change[:, channel]
-                step = -np.linalg.solve(hessian, gradient)
-                step *= min(1.0, LIGHT_STEP_MAX / max(float(np.abs(step).max(initial=0.0)), 1e-12))
-                radiances[:, channel] *= np.exp(step)
-                largest = max(largest, float(np.abs(step).max(initial=0.0)))
+            if largest > HESSIAN_KEPT:
+                for channel in range(3):
+                    slopes = columns * (radiances[:, channel] / irradiance[:, channel, None]).astype(np.float32)
+                    inverses[channel] = np.linalg.inv(_hessian(slopes, pairs, weights[:, channel]) + prior)
+            gradient = radiances * (columns.T @ _pulls(pairs, weights * differences, irradiance))
+            gradient += prior @ np.log(radiances / first)
+            steps = -np.einsum("cij,jc->ic", inverses, gradient)
+            steps *= np.minimum(1.0, LIGHT_STEP_MAX / np.maximum(np.abs(steps).max(axis=0, initial=0.0), 1e-12))
+            radiances *= np.exp(steps)
+            largest = float(np.abs(steps).max(initial=0.0))
             if largest < LIGHT_CONVERGED:
                 break
         return Light(radiances[: len(self.cells)], radiances[len(self.cells) :])
@@ -217,20 +223,16 @@ class AlbedoPairFit:
         return form
 
 
-def _normal_equations(
-    slopes: FloatArray, pairs: Rows, weights: Doubles, differences: Doubles
-) -> tuple[Doubles, Doubles]:
-    """Returns the Hessian, (M, M), and the gradient, (M,), of half the weighted squared differences of P pairs.
+def _hessian(slopes: FloatArray, pairs: Rows, weights: Doubles) -> Doubles:
+    """Returns the Gauss-Newton Hessian, (M, M), of half the weighted squared differences of P pairs.
 
     Args:
         slopes: Derivatives of the logarithms of irradiance with respect to M unknowns, one row per surface, (N, M).
         pairs: Indices of the pairs' surfaces, shape (P, 2).
         weights: Weights of the pairs, shape (P,).
-        differences: Differences of the logarithms of the pairs' albedos, shape (P,).
     """
-    hessian, gradient = np.zeros((slopes.shape[1],) * 2), np.zeros(slopes.shape[1])
+    hessian = np.zeros((slopes.shape[1],) * 2)
     roots = np.sqrt(weights).astype(np.float32)
-    weighted = roots * differences.astype(np.float32)
     # In parts that stay in the caches.
     jacobian, other = np.empty((2, PAIRS_AT_ONCE, slopes.shape[1]), np.float32)
     for begin in range(0, len(pairs), PAIRS_AT_ONCE):
@@ -242,8 +244,22 @@ def _normal_equations(
         jacobian -= other
         jacobian *= roots[part, None]
         hessian += jacobian.T @ jacobian
-        gradient += jacobian.T @ weighted[part]
-    return hessian, gradient
+    return hessian
+
+
+def _pulls(pairs: Rows, weighted: Doubles, irradiance: Doubles) -> FloatArray:
+    """Returns the derivatives of half the weighted squared differences of P pairs by N surfaces' irradiance, (N, 3).
+
+    Args:
+        pairs: Indices of the pairs' surfaces, shape (P, 2).
+        weighted: Differences of the logarithms of the pairs' albedos, times their weights, shape (P, 3).
+        irradiance: Irradiance over pi of the surfaces, shape (N, 3).
+    """
+    sums = [
+        np.bincount(pairs[:, 1], channel, len(irradiance)) - np.bincount(pairs[:, 0], channel, len(irradiance))
+        for channel in weighted.T
+    ]
+    return (np.stack(sums, axis=1) / irradiance).astype(np.float32)
 
 
 def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
