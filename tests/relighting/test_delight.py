@@ -313,11 +313,15 @@ def test_irradiance_of_gaussians_that_trace_no_rays_is_that_of_their_neighbours(
     points = np.array([(x, 0.0, 0.0) for x in (0.0, 1.0, 2.0, 3.0, 9.0)])
     smoother = Smoother.of(cross_pairs(points, points, 1.5), np.tile((0.0, 0.0, 1.0), (5, 1)), np.full(5, -1))
     rows, weights, values = np.array([0, 1]), np.array([1.0, 3.0]), np.array([[1.0], [5.0]])
-    once, twice = (smoother.arriving(np.full(5, 0.5), rows, weights, values, steps)[:, 0] for steps in (1, 2))
+    places = np.arange(2)
+    once, twice = (
+        smoother.arriving(np.full(5, 0.5), smoother.reaching(rows, steps), places, weights, values)[:, 0]
+        for steps in (1, 2)
+    )
     assert np.allclose(once, 0.5 * np.array((4.0, 4.0, 5.0, 4.0, 4.0)))
     # After one average, the weights are 2, 4/3, 1 and 0, and weights times values are 8, 16/3, 5 and 0.
     assert np.allclose(twice, 0.5 * np.array((4.0, 55.0 / 13.0, 31.0 / 7.0, 5.0, 4.0)))
-    assert not smoother.arriving(np.zeros(5), rows, weights, values, 1).any()
+    assert not smoother.arriving(np.zeros(5), smoother.reaching(rows, 1), places, weights, values).any()
 
 
 def test_gaussians_that_take_turns_find_about_the_irradiance_of_gaussians_that_all_trace_rays(

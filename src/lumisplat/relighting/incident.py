@@ -79,7 +79,8 @@ class Smoother:
         weights = np.maximum(np.einsum("ij,ij->i", normals[near.first], normals[near.second]), 0.0) ** NORMAL_SHARPNESS
         weights[(emitters[near.first] >= 0) != (emitters[near.second] >= 0)] = 0.0
         weights /= np.bincount(near.first, weights, len(normals))[near.first]
-        return Smoother(csr_array((weights, (near.first, near.second)), (len(normals), len(normals))))
+        rows = near.first.astype(np.int32), near.second.astype(np.int32)  # smaller indices, faster products
+        return Smoother(csr_array((weights, rows), (len(normals), len(normals))))
 
     def mean(self, values: Values) -> Values:
         """Averages values of N Gaussians, C numbers each, over neighbours with similar normals, shape (N, C)."""
@@ -89,31 +90,37 @@ class Smoother:
             smooth[:, columns] = self.weights @ values[:, columns].astype(np.float64)
         return smooth
 
+    def reaching(self, rows: Rows, steps: int) -> Any:
+        """Returns the weights of the R Gaussians ``rows`` in means of N Gaussians, a sparse matrix of SciPy, (N, R).
+
+        A mean is over neighbours, or over their neighbours if ``steps`` is 2.
+        """
+        reach = self.weights[:, rows]
+        for _ in range(1, steps):
+            reach = self.weights @ reach
+        return reach
+
     def arriving(
-        self, shares: Doubles, rows: Rows, traced: Doubles, values: npt.NDArray[np.floating], steps: int
+        self, shares: Doubles, reach: Any, places: Rows, traced: Doubles, values: npt.NDArray[np.floating]
     ) -> Doubles:
         """Returns the irradiance over pi of N Gaussians from one direction, in which some traced rays, shape (N, C).
 
-        It is the mean of ``shares`` over neighbours, times the weighted mean of ``values`` over rays nearby: of
-        neighbours, or of their neighbours if ``steps`` is 2. Where there are none, it is the mean over all rays.
+        It is the mean of ``shares`` over neighbours, times the weighted mean of ``values`` over rays nearby. Where
+        there are none, it is the mean over all rays.
 
         Args:
             shares: Irradiance over pi that each Gaussian receives at radiance 1 if nothing blocks it, shape (N,).
-            rows: Indices of the R Gaussians that traced rays.
+            reach: Result of `reaching` for the Gaussians whose turn it is to trace rays.
+            places: Columns of ``reach`` of the R Gaussians that traced rays.
             traced: Weights of the rays, shape (R,).
             values: Radiances or transmittances that the rays found, shape (R, C).
-            steps: Number of averages over neighbours of the values of rays.
         """
-        columns = np.zeros((len(shares), 2 + values.shape[1]))
-        columns[:, 0] = shares
-        columns[rows, 1] = traced
-        columns[rows, 2:] = traced[:, None] * values
-        sums = self.weights @ columns
-        share, sums = sums[:, :1], sums[:, 1:]
-        for _ in range(1, steps):
-            sums = self.weights @ sums
-        sums[sums[:, 0] <= 0.0] = columns[:, 1:].sum(axis=0)
-        return share * sums[:, 1:] / np.maximum(sums[:, :1], WEIGHT_LEAST)
+        columns = np.zeros((reach.shape[1], 1 + values.shape[1]))
+        columns[places, 0] = traced
+        columns[places, 1:] = traced[:, None] * values
+        sums = reach @ columns
+        sums[sums[:, 0] <= 0.0] = columns.sum(axis=0)
+        return (self.weights @ shares / np.maximum(sums[:, 0], WEIGHT_LEAST))[:, None] * sums[:, 1:]
 
 
 SIDE_DIRECTIONS = 26
@@ -256,7 +263,8 @@ class IncidentRays:
         self._order = morton_order(capture.means)  # neighbouring rays are traced together
         self.turns = min(-(-capture.count // GAUSSIANS_PER_TURN), TURNS_MAX)
         """Number of neighbouring Gaussians of which one traces a ray into each environment cell."""
-        self._steps = 1 if self.turns == 1 else TURN_STEPS
+        self._members = [self._order[turn :: self.turns] for turn in range(self.turns)]
+        self._reach_of: tuple[Smoother | None, list[Any]] = None, []
         self._means = capture.means.astype(np.float64)
         self._offsets = SHADOW_OFFSET * capture.scales.max(axis=1)
         self._extent = float(np.linalg.norm(np.ptp(self._means, axis=0)))
@@ -323,17 +331,17 @@ class IncidentRays:
         """
         by_direction = np.zeros((len(cells) if stores_directions else 0, len(normals), 3), np.float16)
         observed, environment = np.zeros((len(normals), 3)), np.zeros((len(cells), len(normals)), np.float32)
-        groups = range(int(emitters.max(initial=-1)) + 1)
+        reaches, groups = self._reaches(smoother), range(int(emitters.max(initial=-1)) + 1)
         hit_sums = np.zeros(len(groups))
         for cell in range(len(cells)):
-            shares, rows, directions, traced = self._sampled_directions(normals, cells, cell)
+            shares, places, rows, directions, traced = self._sampled_directions(normals, cells, cell)
             hits = self._trace(rows, directions)
             alpha = 1.0 - hits.transmittance.astype(np.float64)
             emitter = np.where(hits.gaussian_index >= 0, emitters[hits.gaussian_index], -1)
             radiance = (alpha * (emitter < 0))[:, None] * hit_radiance(hits, alpha)
             by_emitter = alpha[:, None] * (emitter[:, None] == np.array(groups, int))
             values = np.concatenate([radiance, hits.transmittance[:, None], by_emitter], axis=1)
-            found = smoother.arriving(shares, rows, traced, values, self._steps)
+            found = smoother.arriving(shares, reaches[cell % self.turns], places, traced, values)
             observed += found[:, :3]
             hit_sums += found[:, 4:].sum(axis=0)
             if stores_directions and self.turns == 1:
@@ -363,17 +371,25 @@ class IncidentRays:
         Returns:
             Float32 irradiances over pi, shape (N, K).
         """
-        environment = np.zeros((len(cells), len(normals)), np.float32)
+        environment, reaches = np.zeros((len(cells), len(normals)), np.float32), self._reaches(smoother)
         for cell in range(len(cells)):
-            shares, rows, directions, traced = self._sampled_directions(normals, cells, cell)
+            shares, places, rows, directions, traced = self._sampled_directions(normals, cells, cell)
             passed = self._transmittance(rows, directions, np.full(len(rows), np.inf))
-            environment[cell] = smoother.arriving(shares, rows, traced, passed[:, None], self._steps)[:, 0]
+            reach = reaches[cell % self.turns]
+            environment[cell] = smoother.arriving(shares, reach, places, traced, passed[:, None])[:, 0]
             self._traced(len(normals) // self.turns)
         return np.ascontiguousarray(environment.T)
 
+    def _reaches(self, smoother: Smoother) -> list[Any]:
+        """Returns `Smoother.reaching` for the Gaussians of each turn."""
+        if self._reach_of[0] is not smoother:
+            steps = 1 if self.turns == 1 else TURN_STEPS
+            self._reach_of = smoother, [smoother.reaching(members, steps) for members in self._members]
+        return self._reach_of[1]
+
     def _sampled_directions(
         self, normals: Doubles, cells: EnvironmentCells, cell: int
-    ) -> tuple[Doubles, Rows, Doubles, Doubles]:
+    ) -> tuple[Doubles, Rows, Rows, Doubles, Doubles]:
         """Samples directions within environment cell number ``cell`` for the Gaussians whose turn it is.
 
         If Gaussians take turns, neighbours whose rays form a packet share one direction, because rays then cost less
@@ -381,23 +397,24 @@ class IncidentRays:
 
         Returns:
             Irradiances over pi that the N Gaussians receive from the cell at radiance 1 without shadows, shape (N,);
-            indices of the R Gaussians that trace rays; the rays' directions, shape (R, 3); and their weights, shape
-            (R,).
+            places, among the Gaussians whose turn it is, and indices of the R Gaussians that trace rays; the rays'
+            directions, shape (R, 3); and their weights, shape (R,).
         """
-        share = cells.solid_angles[cell] / np.pi
+        share, members = cells.solid_angles[cell] / np.pi, self._members[cell % self.turns]
         if self.turns == 1:
             directions = cells.directions_within(cell, len(normals), self._rng)
             shares = share * np.maximum(np.einsum("ij,ij->i", normals, directions), 0.0)
-            rows = self._order[shares[self._order] > 0.0]
-            return shares, rows, directions[rows], shares[rows]
+            places = np.flatnonzero(shares[members] > 0.0)
+            rows = members[places]
+            return shares, places, rows, directions[rows], shares[rows]
         quarters = cells.of(np.array([cell])).parts(2).directions
         shares = share * np.maximum(normals @ quarters.T, 0.0).mean(axis=1)
-        rows = self._order[cell % self.turns :: self.turns]
-        rows = rows[shares[rows] > 0.0]
+        places = np.flatnonzero(shares[members] > 0.0)
+        rows = members[places]
         packets = cells.directions_within(cell, -(-len(rows) // PACKET_RAYS), self._rng)
         directions = np.repeat(packets, PACKET_RAYS, axis=0)[: len(rows)]
         cosines = np.einsum("ij,ij->i", normals[rows], directions)
-        return shares, rows, directions, share * np.maximum(cosines, COSINE_LEAST)
+        return shares, places, rows, directions, share * np.maximum(cosines, COSINE_LEAST)
 
     def _from_emitter(self, normals: Doubles, members: Rows) -> Doubles:
         """Returns irradiance / pi at N Gaussians from an emitter of radiance 1, up to a common factor, shape (N,).
