@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import OPAQUE_BLOCK
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 LIT = ls.Scene(
@@ -63,6 +64,16 @@ def test_frame_is_complete_if_the_stop_function_returns_false() -> None:
     frame = renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA, stop=lambda: bool(asked.append(True)))
     assert len(asked) > 20
     np.testing.assert_array_equal(frame.color, renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA).color)
+
+
+def test_path_frame_of_meshes_can_be_stopped_within_a_sample_on_one_thread() -> None:
+    """One kernel follows all paths of a sample; it is launched block by block, and each block may be the last."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
+    asked: list[bool] = []
+    ls.create_renderer(config, "cpu", threads=1).render(
+        ls.Scene(meshes=LIT.meshes, lights=LIT.lights), CAMERA, stop=lambda: bool(asked.append(True))
+    )
+    assert len(asked) > 2 * CAMERA.width * CAMERA.height // OPAQUE_BLOCK
 
 
 def test_realtime_frames_ignore_the_stop_function() -> None:

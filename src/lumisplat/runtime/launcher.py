@@ -248,7 +248,7 @@ class Launcher:
         if not self.is_cuda:
             self._raise_if_stopped()
         bands = min(bands or self.threads, count)
-        if self.threads == 1 or bands < 2:
+        if bands < 2 or (self.threads == 1 and self._stop is None):
             self.run(kernel, count, 0, *inputs)
             return
         self._load_before_launch(kernel)
