@@ -251,6 +251,20 @@ def test_closing_server_finishes_the_event_that_it_handles() -> None:
     gc.collect()
 
 
+def test_event_may_close_the_server_that_handles_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server does not wait for ever for the event to finish, which waits for the server to close."""
+    monkeypatch.setattr("lumisplat.viewer.server.page_server.CLOSE_S", 0.1)
+    server = PageServer("127.0.0.1", 0)
+    closed = threading.Event()
+
+    def close(_: object) -> None:
+        server.close()
+        closed.set()
+
+    asyncio.run_coroutine_threadsafe(press_callback(close)(object()), server.viser.get_event_loop())
+    assert closed.wait(timeout=20.0)
+
+
 # --- Messages from pages ---
 
 CAMERA = {

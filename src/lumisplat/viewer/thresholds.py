@@ -23,6 +23,9 @@ DIRECT_MS = 150.0
 """Longest time of a full frame for which a camera that its page says has stopped gets no reduced frame before,
 milliseconds."""
 
+CLOSE_S = 10.0
+"""Longest wait of a closing viewer for the event that it handles, seconds; the event itself may have closed it."""
+
 INTERRUPT_S = 0.5
 """Interval at which the main thread wakes to handle Ctrl+C, seconds; the longest delay until the viewer ends."""
 

@@ -24,6 +24,8 @@ class _Queue:
     """Number of events that have arrived; the newest event has this number."""
     arrived: asyncio.Event = field(default_factory=asyncio.Event)
     """Flag that is set when an event arrives and wakes `_wait_for_next_event`."""
+    acting: asyncio.Future[object] | None = None
+    """The event that a thread handles, or that one handled last."""
 
 
 _QUEUES: WeakKeyDictionary[asyncio.AbstractEventLoop, _Queue] = WeakKeyDictionary()
@@ -58,9 +60,17 @@ def queued_callback(
                 await _wait_for_next_event(queue, arrival)
                 if newest != arrival:
                     return
-            await asyncio.to_thread(act, what)
+            queue.acting = asyncio.ensure_future(asyncio.to_thread(act, what))
+            await asyncio.shield(queue.acting)  # a thread cannot be cancelled
 
     return callback
+
+
+async def finish_event(timeout: float) -> None:
+    """Waits for the event that a thread handles in the running loop's queue, at most ``timeout`` seconds."""
+    queue = _QUEUES.get(asyncio.get_running_loop())
+    if queue is not None and queue.acting is not None:
+        await asyncio.wait([queue.acting], timeout=timeout)
 
 
 async def _wait_for_next_event(queue: _Queue, arrival: int) -> None:

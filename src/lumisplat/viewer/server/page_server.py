@@ -16,7 +16,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
+from lumisplat.viewer.server.event_queue import finish_event
 from lumisplat.viewer.server.guard import FilteredConnection, Guard
+from lumisplat.viewer.thresholds import CLOSE_S
 
 if TYPE_CHECKING:
     import viser
@@ -182,7 +184,7 @@ def _refuse_to_share(verbose: bool = True) -> None:
 
 
 async def _drop_pending_events() -> None:
-    """Cancels all asyncio tasks that handle or queue page messages, and waits for the event that a thread handles.
+    """Cancels all asyncio tasks that handle or queue page messages, and waits for the one that a thread handles.
 
     Runs in the server's event loop, which must go on until then: where an event sets a control, the control's callback
     runs in the loop.
@@ -192,7 +194,7 @@ async def _drop_pending_events() -> None:
     for task in asked:
         task.cancel()
     await asyncio.gather(*asked, return_exceptions=True)
-    await asyncio.get_running_loop().shutdown_default_executor()
+    await finish_event(CLOSE_S)
 
 
 def _ignore(_: object, context: dict[str, Any]) -> None:
