@@ -33,7 +33,7 @@ from lumisplat.device.structs.shading import SEES_ENVIRONMENT, ShadingScene, Wav
 
 @struct
 class OpaqueWave:
-    """Arrays that ``shade_opaque_paths`` reads and writes, all with one row.
+    """Holds the arrays that ``shade_opaque_paths`` and ``follow_opaque_paths`` read and write, all with one row.
 
     They are one argument, because Warp compiles kernels with arrays as arguments twice, and then LLVM inlines less.
     """
@@ -114,14 +114,14 @@ class OpaqueBlocks:
     camera: wp.array[WaveData]
     """The camera rays and their hits; receives what they show. One row."""
     rows: OpaqueWave
-    """The scene, the images, and rays and paths with room for a block per thread. There are no steps and shadow rays.
+    """The scene, the images, and rays and paths with room for a block per band. There are no steps and shadow rays.
     """
     meshes: MeshBvh
     max_bounces: int
     no_shadows: bool
     """Whether light passes through everything."""
-    threads: int
-    """Number of threads; each takes every ``threads``-th block."""
+    bands: int
+    """Number of bands; each has every ``bands``-th block."""
 
 
 @wp.func

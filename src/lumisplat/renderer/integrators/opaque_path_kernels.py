@@ -210,7 +210,7 @@ wp.set_module_options(SHADE_OPTIONS | {"max_unroll": 4}, BY_LANES)
 
 @wp.kernel(module=BY_LANES)
 def follow_opaque_paths(start: int, blocks: OpaqueBlocks):
-    """Per thread: follows the paths of every ``threads``-th block of camera rays, bounce by bounce.
+    """Per band: follows the paths of every ``bands``-th block of camera rays, bounce by bounce.
 
     Rays that a block follows lie without gaps in memory for ``BLOCK`` rays, which the thread's next block reuses. A
     ray is written over one that has been shaded.
@@ -269,4 +269,4 @@ def follow_opaque_paths(start: int, blocks: OpaqueBlocks):
             alive = followed
             trace_block(nearest_stack, base, base + alive, blocks.meshes, blocks.rows.wave)
             number += 1
-        first += blocks.threads * BLOCK
+        first += blocks.bands * BLOCK

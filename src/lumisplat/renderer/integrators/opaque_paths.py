@@ -50,8 +50,8 @@ class OpaquePaths:
             first: The camera rays.
             images: The images, set to 0.
         """
-        threads = min(TILE_BANDS_PER_THREAD * self._launcher.threads, -(-first.count // OPAQUE_BLOCK))
-        count, struct, table = OPAQUE_BLOCK * threads, self._buffers.struct, self._buffers.table
+        bands = min(TILE_BANDS_PER_THREAD * self._launcher.threads, -(-first.count // OPAQUE_BLOCK))
+        count, struct, table = OPAQUE_BLOCK * bands, self._buffers.struct, self._buffers.table
         row = WaveData()
         row.rays = struct("path.block.rays", RayData, count, UNUSED_RAY_FIELDS)
         row.meshes = struct("path.block.meshes", MeshHits, count)
@@ -69,5 +69,5 @@ class OpaquePaths:
         blocks.rows.shadows = table("path.block.shadows", PathShadowRays, [PathShadowRays()])
         blocks.rows.images = table("path.block.images", PathImages, [images])
         blocks.meshes = scene.mesh_bvh
-        blocks.max_bounces, blocks.no_shadows, blocks.threads = plan.max_bounces, not plan.casts_shadows, threads
-        self._launcher.run_banded(opaque_path_kernels.follow_opaque_paths, threads, blocks, bands=threads)
+        blocks.max_bounces, blocks.no_shadows, blocks.bands = plan.max_bounces, not plan.casts_shadows, bands
+        self._launcher.run_banded(opaque_path_kernels.follow_opaque_paths, bands, blocks, bands=bands)
