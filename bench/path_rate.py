@@ -222,7 +222,7 @@ def mitsuba_mesh(mi: Any, mesh: ls.Mesh, path: Path) -> dict[str, Any]:
 
 def ray_costs(scene: ls.Scene, view: ls.Camera, device: str, clock: Callable[[], float]) -> tuple[float, float]:
     """Returns nanoseconds to find the hits of a camera ray and of a bounced ray."""
-    # Frames with layers trace all paths by waves, and without graphs, in which nothing is timed.
+    # Only waves time their rays, and frames with layers are traced by waves. Profiling does without graphs.
     renderer = ls.create_renderer(replace(config(1), aovs=("bounces",)), device, profile=True)
     renderer.render(scene, view)
     least = (float("inf"), float("inf"))

@@ -67,7 +67,7 @@ def test_frame_is_complete_if_the_stop_function_returns_false() -> None:
 
 
 def test_path_frame_of_meshes_can_be_stopped_within_a_sample_on_one_thread() -> None:
-    """One kernel follows all paths of a sample; it is launched block by block, and each block may be the last."""
+    """One kernel follows all paths of a sample; its launch is cut into bands, and the frame may stop after each."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
     asked: list[bool] = []
     ls.create_renderer(config, "cpu", threads=1).render(

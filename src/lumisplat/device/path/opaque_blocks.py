@@ -109,7 +109,7 @@ BLOCK = wp.constant(OPAQUE_BLOCK)
 
 @struct
 class OpaqueBlocks:
-    """Paths that ``follow_opaque_paths`` follows, a block of camera rays at a time."""
+    """Holds the paths that ``follow_opaque_paths`` follows, a block of camera rays at a time."""
 
     camera: wp.array[WaveData]
     """The camera rays and their hits; receives what they show. One row."""

@@ -212,14 +212,14 @@ wp.set_module_options(SHADE_OPTIONS | {"max_unroll": 4}, BY_LANES)
 def follow_opaque_paths(start: int, blocks: OpaqueBlocks):
     """Per band: follows the paths of every ``bands``-th block of camera rays, bounce by bounce.
 
-    Rays that a block follows lie without gaps in memory for ``BLOCK`` rays, which the thread's next block reuses. A
+    Rays that a block follows lie without gaps in memory for ``BLOCK`` rays, which the band's next block reuses. A
     ray is written over one that has been shaded.
 
     Args:
         start: Offset added to the thread index.
         blocks: The camera rays with their hits, the scene, and the arrays that receive the results.
     """
-    thread = from_zero(start + wp.tid())
+    band = from_zero(start + wp.tid())
     memory = PathMemory()
     lanes = PathLanes()
     point_lanes(memory, lanes)
@@ -227,7 +227,7 @@ def follow_opaque_paths(start: int, blocks: OpaqueBlocks):
     nearest_stack = word_stack(words)
     links = UnsortedStackStorage()
     shadow_stack = unsorted_stack(links)
-    base = thread * BLOCK
+    base = band * BLOCK
     rays = blocks.camera[0].rays.is_active.shape[0]
     first = base
     while first < rays:

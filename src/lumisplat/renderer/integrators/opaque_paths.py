@@ -23,6 +23,7 @@ UNUSED_RAY_FIELDS = frozenset({"is_active", "t_min", "t_max", "path_length", "sp
 """Fields of `RayData` that the rays of blocks lack: the rays exist, and end at no distance."""
 
 UNUSED_PATH_FIELDS = frozenset({"diffuse", "media"})
+"""Fields of `PathData` that only paths with layers or glass need."""
 
 
 class OpaquePaths:
