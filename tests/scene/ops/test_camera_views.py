@@ -41,7 +41,9 @@ def around(
 
 def tilt(found: tuple[float, float, float] | None, up: tuple[float, float, float]) -> float:
     """Returns the angle between two directions in degrees."""
-    return math.degrees(math.acos(min(1.0, float(present(found) @ np.array(up)) / float(np.linalg.norm(up)))))
+    one = present(found)
+    # The arc cosine knows small angles to 1e-6 degrees only.
+    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(one, up))), float(one @ np.array(up))))
 
 
 @pytest.mark.parametrize("up", UPS)
