@@ -296,8 +296,9 @@ def statue(count: int) -> Case:
 
 
 def as_splats(mesh: ls.Mesh, count: int) -> ls.SplatInstance:
-    """Returns the surface of a mesh as Gaussians with its material."""
-    return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=mesh.material)
+    """Returns the surface of a mesh as Gaussians, which hold some of its material, with the rest of the material."""
+    rest = replace(mesh.material, base_color=None, roughness=None, metallic=None)
+    return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=rest)
 
 
 if __name__ == "__main__":

@@ -212,7 +212,7 @@ def mitsuba_mesh(mi: Any, mesh: ls.Mesh, path: Path) -> dict[str, Any]:
     parameters["vertex_positions"], parameters["faces"] = mesh.positions.ravel(), mesh.indices.ravel().astype(np.uint32)
     parameters.update()
     written.write_ply(str(path))
-    reflectance = {"type": "rgb", "value": list(material.base_color)}
+    reflectance = {"type": "rgb", "value": list(material.mesh_color)}
     bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
     described: dict[str, Any] = {"type": "ply", "filename": str(path), "face_normals": True, "bsdf": bsdf}
     if max(material.emissive) > 0.0:

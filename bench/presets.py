@@ -259,7 +259,7 @@ class MovingRoom:
         gaussians, meshes = _room_at_rest(self.count // 5)
         places = [(0.0, 0.55 + 0.15 * np.sin(3.0 * seconds), -0.6)]
         places += [(x, 0.5, z) for x, z in ((-1.5, 0.3), (1.5, 0.3), (-0.7, 1.4), (0.7, 1.4))]
-        material = ls.MaterialPbr(roughness=0.7)
+        material = ls.MaterialPbr()
         captures = [
             ls.SplatInstance(one, material=material, position=place, scale_by=0.45)
             for one, place in zip(gaussians, places, strict=True)

@@ -22,15 +22,18 @@ def main(width: int = 200, count: int = 3000, samples: int = 4) -> None:
     floor, wall = ls.plane(2.4 * size, 2.4 * size, material=FLOOR), ls.plane(2.4 * size, 1.2 * size, material=WALL)
     at_floor, at_wall = (middle[0], low[1], middle[2]), (middle[0], low[1] + 0.6 * size, middle[2] - 1.2 * size)
 
-    # The capture consists of Gaussians, which reflect by their albedo and roughness.
+    # The capture consists of Gaussians, which reflect by their own albedo and roughness, those of the meshes.
+    matt = ls.MaterialPbr(specular=0.0)
     objects = [
-        ls.SplatInstance(ls.gaussians_from_mesh(replace(knot, colors=None, material=GLAZE), count), material=GLAZE),
-        ls.SplatInstance(ls.gaussians_from_mesh(floor, 2 * count), position=at_floor, material=FLOOR),
+        ls.SplatInstance(
+            ls.gaussians_from_mesh(replace(knot, colors=None, material=GLAZE), count), material=ls.MaterialPbr()
+        ),
+        ls.SplatInstance(ls.gaussians_from_mesh(floor, 2 * count), position=at_floor, material=matt),
         ls.SplatInstance(
             ls.gaussians_from_mesh(wall, count // 2),
             position=at_wall,
             rotation_degrees=(90.0, 0.0, 0.0),
-            material=WALL,
+            material=matt,
         ),
     ]
     light = ls.LightPoint(

@@ -102,18 +102,18 @@ def mesh_of(mi: Any, mesh: ls.Mesh) -> Any:
 
 def material_of(material: Any) -> dict:
     """Returns Mitsuba's BSDF for a material; only materials that Mitsuba has are allowed."""
-    if material.metallic == 1.0 and material.base_color == (1.0, 1.0, 1.0):
+    if material.mesh_metallic == 1.0 and material.mesh_color == (1.0, 1.0, 1.0):
         kind = {"type": "conductor"}
-        if material.roughness > 0.0:
-            kind = {"type": "roughconductor", "distribution": "ggx", "alpha": material.roughness**2}
+        if material.mesh_roughness > 0.0:
+            kind = {"type": "roughconductor", "distribution": "ggx", "alpha": material.mesh_roughness**2}
         return kind | {"material": "none"}
-    if material.transmission == 1.0 and material.base_color == (1.0, 1.0, 1.0):
+    if material.transmission == 1.0 and material.mesh_color == (1.0, 1.0, 1.0):
         kind = {"type": "dielectric"}
-        if material.roughness > 0.0:
-            kind = {"type": "roughdielectric", "distribution": "ggx", "alpha": material.roughness**2}
+        if material.mesh_roughness > 0.0:
+            kind = {"type": "roughdielectric", "distribution": "ggx", "alpha": material.mesh_roughness**2}
         return kind | {"int_ior": material.ior, "ext_ior": 1.0}
-    assert material.specular == 0.0 == material.metallic, "Mitsuba has no such material"
-    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(material.base_color)}}
+    assert material.specular == 0.0 == material.mesh_metallic, "Mitsuba has no such material"
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(material.mesh_color)}}
 
 
 def light_of(mi: Any, light: Any, radiance_of: Callable[[np.ndarray], np.ndarray] = environment_radiance) -> dict:

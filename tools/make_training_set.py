@@ -130,7 +130,12 @@ def principled(mi: Any, material: Any) -> dict:
     """Returns Mitsuba's BSDF of a textured material, without its normal map."""
     assert material.base_color_texture is not None
     color = {"type": "bitmap", "bitmap": mi.Bitmap(np.array(material.base_color_texture))}
-    return {"type": "principled", "base_color": color, "roughness": material.roughness, "metallic": material.metallic}
+    return {
+        "type": "principled",
+        "base_color": color,
+        "roughness": material.mesh_roughness,
+        "metallic": material.mesh_metallic,
+    }
 
 
 def mesh_of(mi: Any, instance: ls.MeshInstance, bsdf: dict) -> Any:

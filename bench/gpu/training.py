@@ -117,7 +117,7 @@ def write_views(folder: Path, gaussians: ls.Gaussians, width: int, height: int, 
 
 def lit_ball(count: int) -> ls.Scene:
     """Returns a ball of relit Gaussians, lit by a sun and an environment."""
-    material = ls.MaterialPbr((0.7, 0.5, 0.3), roughness=0.9)
+    material = ls.MaterialPbr(base_color=(0.7, 0.5, 0.3))
     ball = ls.gaussians_from_mesh(ls.sphere(1.0), count, seed=3)
     lights = (ls.LightEnvironment(), ls.LightDirectional((0.4, -1.0, 0.6), intensity=2.0))
     return ls.Scene(splats=[ls.SplatInstance(ball, material=material)], lights=lights)

@@ -13,6 +13,7 @@ from lumisplat.baking import bake as bake_module
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
+from support.kinds import for_splats
 from support.scenes.path_scenes import ball, diffuse
 from support.scenes.raster_scenes import similarity
 
@@ -23,7 +24,7 @@ PATH, TRACE = ls.RenderConfig(pipeline=ls.Pipeline.PATH), ls.RenderConfig(pipeli
 
 def splats_of(mesh: ls.Mesh, count: int) -> ls.SplatInstance:
     """Returns Gaussians of a mesh, with the mesh's material."""
-    return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=mesh.material)
+    return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=for_splats(mesh.material))
 
 
 def baked(scene: ls.Scene, config: ls.RenderConfig = PATH, **options: Any) -> ls.Scene:

@@ -14,6 +14,7 @@ import lumisplat as ls
 from lumisplat.baking import joint_sh_fit
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions
+from support.kinds import for_splats
 from support.scenes.path_scenes import ball
 
 FITTED_VIEWS, PATHS = 40, 16
@@ -30,7 +31,9 @@ def glossy_ball(count: int = 300) -> ls.Scene:
         ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
     ]
     metal = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)
-    return ls.Scene([ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, metal), count), material=metal)], lights=lights)
+    return ls.Scene(
+        [ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, metal), count), material=for_splats(metal))], lights=lights
+    )
 
 
 def view_from(side: Any, pixels: int) -> ls.Camera:

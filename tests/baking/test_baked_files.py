@@ -11,6 +11,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.sh import even_directions, sh_basis
+from support.kinds import for_splats
 from support.scenes.path_scenes import ball
 
 STEPS = np.array([2.0 / 0.15 / 2.0 / 255.0] + 15 * [2.0 / 256.0])
@@ -26,7 +27,7 @@ def baked() -> ls.Gaussians:
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
         ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
     ]
-    instance = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, shiny), 200), material=shiny)
+    instance = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, shiny), 200), material=for_splats(shiny))
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
     return ls.bake(ls.Scene([instance], lights=lights), config, device="cpu").splats[0].gaussians
 

@@ -107,7 +107,7 @@ def test_light_sampled_for_a_bake_excludes_captures_and_meshes_that_are_not_bake
 
     Veil and mesh cover less than a hundredth of a ray, but would add as much light as the sheet and more.
     """
-    sheet = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 150), material=diffuse(0.8))
+    sheet = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 150), material=MATTE)
     sheet = replace(sheet, gaussians=replace(sheet.gaussians, albedo=np.full((sheet.gaussians.count, 3), 0.8)))
     splats, meshes = ([sheet, other], []) if isinstance(other, ls.SplatInstance) else ([sheet], [other])
     sun = ls.LightDirectional((1.0, -1.0, 0.0), intensity=0.5)  # the shadow of the veil is beside the sheet

@@ -14,6 +14,7 @@ from lumisplat.baking import joint_sh_fit
 from lumisplat.baking.joint_sh_fit import JointShFit, Pixels
 from lumisplat.baking.sample_rays import DrawnRays, SampleRays
 from lumisplat.math.sh import even_directions
+from support.kinds import for_splats
 from support.scenes.path_scenes import ball, diffuse
 
 
@@ -31,7 +32,9 @@ def drawn_rays(instance: ls.SplatInstance, count: int) -> DrawnRays:
 
 def small() -> ls.SplatInstance:
     """Returns a grey ball."""
-    return ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.5), rows=16), 60), material=diffuse(0.5))
+    return ls.SplatInstance(
+        ls.gaussians_from_mesh(ball(1.0, diffuse(0.5), rows=16), 60), material=for_splats(diffuse(0.5))
+    )
 
 
 def test_bake_rays_start_at_uniform_squared_distances_from_their_gaussian() -> None:
@@ -102,7 +105,7 @@ def test_bake_redraws_blocked_rays_so_that_gaussians_in_corners_get_as_many_as_o
     """Rays through a wall of a closed box, more than half of those to an edge, are redrawn."""
     walls = ls.gaussians_from_mesh(ls.box(2.0, material=diffuse(0.5)), 300)
     assert walls.normals is not None
-    inside = ls.SplatInstance(replace(walls, normals=-walls.normals), material=diffuse(0.5))
+    inside = ls.SplatInstance(replace(walls, normals=-walls.normals), material=for_splats(diffuse(0.5)))
     scene = ls.Scene([inside], lights=[ls.LightPoint((0.0, 0.0, 0.0))])
     found: list[np.ndarray] = []
     origins: list[np.ndarray] = []

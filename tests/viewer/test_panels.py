@@ -45,6 +45,7 @@ from lumisplat.viewer.panels.inspector import (
     direction_of_angles,
     direction_of_hour,
     light_fields,
+    material_fields,
     put_field,
     shading_of,
     sun_angles,
@@ -245,6 +246,23 @@ def test_fields_of_the_inspector_edit_the_selected_scene_entry() -> None:
     assert spot.outer_angle == pytest.approx(math.radians(30.0))  # pyright: ignore
     with pytest.raises(ls.SceneError, match="roughness"):
         put_field(edited, 0, "material.roughness", 3.0)
+
+
+def test_inspector_shows_what_a_material_without_values_stands_for() -> None:
+    """Factors of 1 on a capture's own values, else the defaults; and no control that would have no effect."""
+
+    def shown(material: ls.MaterialPbr | ls.MaterialSimple, gaussians: ls.Gaussians | None) -> dict[str, Any]:
+        fields = material_fields(material, gaussians)
+        assert not any(field.is_optional for field, _ in fields if field.name == "material.roughness")
+        return {field.name.removeprefix("material."): value for field, value in fields}
+
+    own = replace(cloud(), roughness=np.full(cloud().count, 0.3))
+    expected = {"base_color": (1.0, 1.0, 1.0), "metallic": 0.0, "roughness": 1.0}
+    assert expected.items() <= shown(ls.MaterialPbr(), own).items()
+    assert (expected | {"roughness": 0.5}).items() <= shown(ls.MaterialPbr(), cloud()).items()
+    assert {"base_color": (0.8,) * 3, "roughness": 0.5}.items() <= shown(ls.MaterialPbr(), None).items()
+    assert shown(ls.MaterialPbr(roughness=0.25), own)["roughness"] == 0.25
+    assert "base_color" not in shown(ls.MaterialSimple(), own) and "base_color" in shown(ls.MaterialSimple(), None)
 
 
 def test_place_on_ground_puts_an_object_as_low_as_the_lowest_point_of_the_others() -> None:

@@ -11,7 +11,7 @@ from lumisplat.device.gaussian.particle import canonical_from_object, gaussian_c
 from lumisplat.device.math.directions import TWO_PI
 from lumisplat.device.math.random import branch_key, pixel_key_of, sample_key_of, sobol_2d
 from lumisplat.device.splat.blending import instance_of
-from lumisplat.device.splat.projection import towards
+from lumisplat.device.splat.projection import tinted, towards
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
@@ -106,7 +106,7 @@ def store_hit(
     normal = gaussian_facing(gaussians, k, eye)
     if instance.stored_normals != 0:
         normal = towards(gaussians.normals[k], -direction, 0.0)
-    hits.color[i] = color
+    hits.color[i] = tinted(instance, color)
     hits.normal[i] = instance.world_from_object * normal
     hits.transmittance[i] = 0.0
     hits.depth[i] = 0.0

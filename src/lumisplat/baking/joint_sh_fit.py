@@ -20,7 +20,7 @@ from lumisplat.progress import Progress
 from lumisplat.renderer.rays import RayHits, RayProfile
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.scene.materials import is_relit, material_of, shading_overrides
+from lumisplat.renderer.scene.materials import is_relit, material_of, shading_overrides, tint_of
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.lights import AreaLight, Light
@@ -556,7 +556,8 @@ def reflected_colors(instance: SplatInstance) -> Doubles:
     colors, material = base_colors(gaussians), material_of(instance)
     if not isinstance(material, MaterialPbr):
         return colors * np.add(np.add(material.emissive, material.ambient), material.diffuse) + material.specular
-    metallic = np.full(gaussians.count, material.metallic) if gaussians.metallic is None else gaussians.metallic
+    colors, metal = colors * tint_of(instance), material.values_on(gaussians).metallic
+    metallic = np.full(gaussians.count, metal) if gaussians.metallic is None else metal * gaussians.metallic
     mirrored = ((1.0 - metallic) * material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2)[:, None]
     return mirrored + (1.0 - mirrored) * colors
 

@@ -17,7 +17,7 @@ from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
 from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.scene.lights import Light, LightEnvironment
-from lumisplat.scene.materials import MaterialPbr, MaterialSimple
+from lumisplat.scene.materials import MESH_COLOR, MaterialPbr, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 CATCHER_ALBEDO = 0.5
@@ -165,8 +165,8 @@ def _matte(instance: MeshInstance) -> MeshInstance:
 
     The base colour changes the shadow ratio only through light that bounces between the catcher and added objects.
     """
-    color = instance.mesh.material.base_color
-    given = CATCHER_ALBEDO if color == MaterialPbr().base_color else np.maximum(color, CATCHER_ALBEDO_MIN)
+    color = instance.mesh.material.mesh_color
+    given = CATCHER_ALBEDO if color == MESH_COLOR else np.maximum(color, CATCHER_ALBEDO_MIN)
     material = MaterialSimple(emissive=0.0, diffuse=1.0, base_color=given)
     return replace(instance, mesh=replace(instance.mesh, material=material, colors=None), shadow_catcher=False)
 
@@ -193,12 +193,12 @@ def _reflections(scene: Scene, added: Scene, catchers: tuple[MeshInstance, ...],
 
 
 def _mirrors(material: MaterialPbr) -> bool:
-    return material.roughness < 0.5 or material.metallic > 0.0
+    return material.mesh_roughness < 0.5 or material.mesh_metallic > 0.0
 
 
 def _without_diffuse(material: object) -> MaterialPbr:
     assert isinstance(material, MaterialPbr)
-    color = material.base_color if material.metallic > 0.0 else (0.0, 0.0, 0.0)
+    color = material.mesh_color if material.mesh_metallic > 0.0 else (0.0, 0.0, 0.0)
     return replace(material, base_color=color, base_color_texture=None, emissive=0.0, transmission=0.0)
 
 

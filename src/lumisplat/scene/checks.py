@@ -87,6 +87,16 @@ class LinearColor:
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
 
 
+class OptionalColor:
+    """Converter like `LinearColor` of colours in 0..1 that also accepts None."""
+
+    kind = "color"
+
+    def __call__(self, value: npt.ArrayLike | None, name: str = "color") -> Vector | None:
+        """Returns the channels of the colour ``value``, or None for None; raises a SceneError for invalid colours."""
+        return None if value is None else UNIT_COLOR(value, name)
+
+
 COLOR, UNIT_COLOR = LinearColor(), LinearColor(1.0)
 """Converters of linear colours with channels of at least 0 (`COLOR`), and of colours in 0..1 (`UNIT_COLOR`)."""
 

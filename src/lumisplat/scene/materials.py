@@ -2,8 +2,8 @@
 
 The surface colour of a mesh is ``base_color`` times texture and vertex colour. The surface colour of a splat set is the
 albedo of its Gaussians, or the decoded captured colour if the Gaussians have no albedo or the material is emissive;
-splat sets ignore ``base_color`` and textures. Roughness and metallic of the Gaussians, if stored, replace the
-material's.
+``base_color`` of a `MaterialPbr` multiplies it, and textures are ignored. Roughness and metallic of the Gaussians, if
+stored, are multiplied by the material's (docs/adr/0123-materials-are-factors-on-a-sets-own-values.md).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from enum import Enum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,10 @@ from lumisplat.config.checks import Range
 from lumisplat.config.setting import Share, frozen, given
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import host_array, read_only_array
-from lumisplat.scene.checks import COLOR, UNIT_COLOR, take_scene_fields
+from lumisplat.scene.checks import COLOR, UNIT_COLOR, OptionalColor, take_scene_fields
+
+if TYPE_CHECKING:
+    from lumisplat.scene.gaussians import Gaussians
 
 Texture = npt.NDArray[np.uint8]
 
@@ -90,6 +93,11 @@ def checked_wraps(given: WrapsLike | None, known: Sequence[str]) -> Wraps | None
 
 Color = tuple[float, float, float]
 
+MESH_COLOR: Color = (0.8, 0.8, 0.8)
+"""Base colour of meshes whose `MaterialPbr` gives none."""
+METALLIC, ROUGHNESS = 0.0, 0.5
+"""Metalness and roughness of surfaces that store none and whose `MaterialPbr` gives none."""
+
 
 class AlphaMode(Enum):
     """Meaning of a mesh material's alpha: the product of ``alpha`` and the base colour texture's alpha (glTF 3.9.4)."""
@@ -100,6 +108,14 @@ class AlphaMode(Enum):
     """The surface exists where alpha is at least ``alpha_cutoff``."""
     BLEND = "blend"
     """Alpha is the coverage of the surface; the background shows through the rest."""
+
+
+class SurfaceValues(NamedTuple):
+    """What a `MaterialPbr` gives a surface: its values, or factors on values that a splat set has of its own."""
+
+    base_color: Color
+    metallic: float
+    roughness: float
 
 
 @frozen(kw_only=True)
@@ -114,13 +130,15 @@ class MaterialPbr:
         SceneError: A value is outside its range, or a texture is not (H, W, 3 or 4) uint8.
     """
 
-    base_color: Color = given(converter=UNIT_COLOR, default=(0.8, 0.8, 0.8))
-    """Linear Rec.709 base colour, multiplied by the texture; ``(1, 1, 1)``, glTF's default, shows the texture
-    unchanged."""
-    metallic: Share = 0.0
-    """Metalness: 0 is a dielectric, 1 a metal."""
-    roughness: Share = 0.5
-    """Perceptual roughness; exactly 0 is smooth. The roughness of splats is at least 0.03."""
+    base_color: Color | None = given(converter=OptionalColor(), default=None)
+    """Linear Rec.709 base colour of a mesh, multiplied by the texture; None: ``(0.8, 0.8, 0.8)``. ``(1, 1, 1)``, glTF's
+    default, shows the texture unchanged. For splats, a factor on their own colour; None leaves it unchanged."""
+    metallic: Share | None = None
+    """Metalness: 0 is a dielectric, 1 a metal; None: 0. For splats with metalness of their own, a factor on it; None
+    leaves it unchanged."""
+    roughness: Share | None = None
+    """Perceptual roughness; exactly 0 is smooth; None: 0.5. The roughness of splats is at least 0.03. For splats with
+    roughness of their own, a factor on it; None leaves it unchanged."""
     specular: Share = 1.0
     """Strength of the dielectric's specular reflection (KHR_materials_specular): 1 is full Fresnel reflection, 0 none.
     """
@@ -202,6 +220,33 @@ class MaterialPbr:
         object.__setattr__(self, "texture_wraps", checked_wraps(self.texture_wraps, texture_names(self)))
 
     @property
+    def mesh_color(self) -> Color:
+        """Base colour of a mesh: ``base_color``, or `MESH_COLOR` for None."""
+        return MESH_COLOR if self.base_color is None else self.base_color
+
+    @property
+    def mesh_metallic(self) -> float:
+        """Metalness of a mesh, or of splats that store none: ``metallic``, or `METALLIC` for None."""
+        return METALLIC if self.metallic is None else self.metallic
+
+    @property
+    def mesh_roughness(self) -> float:
+        """Roughness of a mesh, or of splats that store none: ``roughness``, or `ROUGHNESS` for None."""
+        return ROUGHNESS if self.roughness is None else self.roughness
+
+    def values_on(self, gaussians: Gaussians | None = None) -> SurfaceValues:
+        """Returns the values of the material on a splat set, or with None on a mesh.
+
+        A field that is None has its default, or leaves the splat set's own values unchanged, as 1 does.
+        """
+        color, metallic, roughness = self.mesh_color, self.mesh_metallic, self.mesh_roughness
+        if gaussians is not None:
+            color = (1.0, 1.0, 1.0) if self.base_color is None else color
+            metallic = 1.0 if self.metallic is None and gaussians.metallic is not None else metallic
+            roughness = 1.0 if self.roughness is None and gaussians.roughness is not None else roughness
+        return SurfaceValues(color, metallic, roughness)
+
+    @property
     def is_solid(self) -> bool:
         """True if refracted light travels inside a mesh with this material: transmissive, and not ``thin_walled``."""
         return self.transmission > 0.0 and not self.thin_walled
@@ -250,7 +295,8 @@ class MaterialSimple:
     shininess: Annotated[float, Range(0.0, 1e4)] = 32.0
     """Exponent of the Phong highlight: the higher, the smaller and sharper the highlight."""
     base_color: Color = given(converter=UNIT_COLOR, default=(1.0, 1.0, 1.0))
-    """Linear Rec.709 base colour of a mesh, multiplied by texture and vertex colour; splat sets ignore it."""
+    """Linear Rec.709 base colour of a mesh, multiplied by texture and vertex colour. Splat sets ignore it: ``diffuse``
+    is a factor on their own colour."""
     base_color_texture: Texture | None = given(converter=to_texture, default=None)
     """sRGB-encoded texels of the base colour, shape (H, W, 3 or 4), row 0 at v = 0 (top); the fourth channel is alpha.
     """
@@ -268,6 +314,11 @@ class MaterialSimple:
     """Name of the material; in Cryptomatte output, also the name of its matte."""
 
     __post_init__ = take_scene_fields
+
+    @property
+    def mesh_color(self) -> Color:
+        """Base colour of a mesh: ``base_color``."""
+        return self.base_color
 
     @property
     def is_emissive(self) -> bool:

@@ -53,7 +53,7 @@ def test_meshes_saved_by_a_document_load_with_equal_arrays(without: tuple[str, .
     found = round_trip(mesh).meshes[0].mesh
     for name in ("positions", "indices", "normals", "uvs", "colors"):
         np.testing.assert_array_equal(getattr(found, name), getattr(mesh, name), err_msg=name)
-    assert pbr_of(found).base_color == pbr_of(mesh).base_color == (0.8, 0.8, 0.8)
+    assert pbr_of(found).mesh_color == pbr_of(mesh).mesh_color == (0.8, 0.8, 0.8)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

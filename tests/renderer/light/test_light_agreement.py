@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.demo.shapes import join_meshes, rounded_box, sphere, torus, transform_mesh
 from support.compare.images import assert_close
-from support.kinds import present
+from support.kinds import for_splats, present
 from support.scenes.light_rig import PIPELINES, lit
 from support.scenes.light_scenes import ball_at, box, matte, parallelogram
 from support.scenes.pipelines import DIRECT
@@ -59,7 +59,7 @@ def as_mesh(name: str) -> ls.Scene:
 
 def as_gaussians(name: str, **changes: object) -> ls.Scene:
     """Returns a scene with the object as Gaussians over the floor."""
-    instance = ls.SplatInstance(gaussians_of(name), material=OBJECTS[name][0].material)
+    instance = ls.SplatInstance(gaussians_of(name), material=for_splats(OBJECTS[name][0].material))
     return ls.Scene([replace(instance, **changes)], [FLOOR], [LIGHT])
 
 

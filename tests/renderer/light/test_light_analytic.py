@@ -186,9 +186,9 @@ def test_plane_under_a_disk_light_matches_the_closed_form() -> None:
 
 def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
     """Returns the Schlick reflectance of a facet, shape (..., 3)."""
-    metallic, cosine = material.metallic, cosine[..., None]
+    metallic, cosine = material.mesh_metallic, cosine[..., None]
     straight = material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2 * (1.0 - metallic)
-    straight = straight + metallic * np.array(material.base_color)
+    straight = straight + metallic * np.array(material.mesh_color)
     grazing = material.specular * (1.0 - metallic) + metallic
     return straight + (grazing - straight) * (1.0 - cosine) ** 5
 
@@ -203,7 +203,7 @@ def highlight_albedo(material: ls.MaterialPbr, cosines: np.ndarray, steps: int =
 
     Integrates over the facets visible to each viewer (Heitz 2018), on a grid of ``steps`` by ``steps`` numbers.
     """
-    alpha = material.roughness**2
+    alpha = material.mesh_roughness**2
     out, turn = np.meshgrid((np.arange(steps) + 0.5) / steps, (np.arange(steps) + 0.5) / steps * 2.0 * np.pi)
     shares = []
     for cosine in np.ravel(cosines):
@@ -229,7 +229,7 @@ def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: n
 
     The diffuse part gets the energy that the highlight leaves, on the way in and out (Kelemen and Szirmay-Kalos 2001).
     """
-    alpha = material.roughness**2
+    alpha = material.mesh_roughness**2
     half = view + light
     half = half / np.linalg.norm(half, axis=-1, keepdims=True)
     facing, shone, tilt = ((normal * b).sum(-1) for b in (view, light, half))
@@ -247,7 +247,7 @@ def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: n
 
 def diffuse_color(material: ls.MaterialPbr) -> np.ndarray:
     """Returns the albedo below the highlight, shape (3,); rough surfaces scatter the transmitted fraction."""
-    return (1.0 - material.metallic) * np.array(material.base_color)
+    return (1.0 - material.mesh_metallic) * np.array(material.mesh_color)
 
 
 MATERIALS = {
@@ -297,7 +297,7 @@ def test_emission_and_ambient_light_of_a_simple_material_are_added_once_per_fram
     points = floor_points(camera)
     view, _ = towards(tuple(camera.eye), points)
     mirrored = view * (-1.0, 1.0, -1.0)
-    base = np.array(material.base_color)
+    base = np.array(material.mesh_color)
     expected = base * (np.array(material.emissive) + material.ambient) + np.zeros(points.shape)
     for light in lights:
         directions, distances = towards(light.position, points)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from support.scenes.raster_scenes import flat_sh, front_camera
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 """Light under which a diffuse surface that faces the view shows its albedo."""
 PIPELINES = DIRECT
+MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)
 
 
 def wall(material: ls.MaterialPbr | ls.MaterialSimple, depth: float = 2.0) -> ls.Mesh:
@@ -131,6 +133,49 @@ def test_occlusion_texture_dims_environment_light_and_no_other_light() -> None:
         np.testing.assert_allclose(middle(lit(ls.Scene(meshes=[wall(material)], lights=[FACING]))), 1.0, rtol=1e-4)
 
 
+@pytest.mark.parametrize("pipeline", [*PIPELINES, ls.Pipeline.PATH, ls.Pipeline.REALTIME])
+@pytest.mark.parametrize("stores", [True, False], ids=["own values", "captured colour"])
+def test_material_multiplies_what_a_relit_set_has(stores: bool, pipeline: ls.Pipeline) -> None:
+    """Base colour, roughness and metallic are factors on own values; a material without them leaves these unchanged.
+
+    Without own values, base colour is a factor on the decoded captured colour, and the others are the values.
+    """
+    light = ls.LightDirectional((0.15, 0.0, 1.0), intensity=3.0)
+    albedo, tint = np.array([0.2, 0.6, 0.4]), np.array([0.5, 1.0, 0.25])
+
+    def seen(albedo: np.ndarray, finish: float, **material: object) -> np.ndarray:
+        own = {"albedo": albedo, "roughness": np.float32(finish), "metallic": np.float32(finish)}
+        capture = curtain(**own) if stores else curtain(colors=np.tile(encode_srgb(albedo), (243, 1)))
+        if not stores:
+            material = {"roughness": finish, "metallic": finish} | material
+        splats = ls.SplatInstance(capture, material=ls.MaterialPbr(**cast(Any, material)))
+        settings = {"samples": 1} if pipeline is ls.Pipeline.PATH else {}
+        return middle(lit(ls.Scene(splats=[splats], lights=[light]), pipeline, shadows=ls.Shadows.OFF, **settings))
+
+    product = seen(tint * albedo, 0.35)
+    edited = {"base_color": tint, "roughness": 0.5 if stores else 0.35, "metallic": 0.5 if stores else 0.35}
+    factors = seen(albedo, 0.7, **edited)
+    np.testing.assert_allclose(factors, product, rtol=2e-3)
+    plain = seen(albedo, 0.7)
+    assert np.abs(plain - factors).max() > 0.1 * plain.max()
+    neutral = {"base_color": 1.0} | ({"roughness": 1.0, "metallic": 1.0} if stores else {})
+    np.testing.assert_array_equal(seen(albedo, 0.7, **neutral), plain)
+
+
+def test_tint_of_one_set_does_not_reach_the_sets_behind_it() -> None:
+    """Each Gaussian has the tint of its own set, also where several sets share a pixel."""
+    veil, wall = curtain(opacity=0.5, albedo=np.full(3, 0.5)), curtain(depth=2.2, albedo=np.full(3, 0.9))
+    veil = veil.subset(np.arange(81))
+    light = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+
+    def seen(material: ls.MaterialPbr, albedo: float) -> np.ndarray:
+        front = replace(veil, albedo=np.full((81, 3), albedo))
+        sets = [ls.SplatInstance(front, material=material), ls.SplatInstance(wall, material=MATT)]
+        return middle(lit(ls.Scene(splats=sets, lights=[light]), ls.Pipeline.RASTER, shadows=ls.Shadows.OFF))
+
+    np.testing.assert_allclose(seen(replace(MATT, base_color=0.2), 0.5), seen(MATT, 0.1), rtol=1e-3)
+
+
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_relit_gaussians_use_their_stored_albedo_roughness_and_metallic(pipeline: ls.Pipeline) -> None:
     """Albedo replaces the captured colour in sets that emit nothing."""
@@ -138,7 +183,7 @@ def test_relit_gaussians_use_their_stored_albedo_roughness_and_metallic(pipeline
     stored = {"albedo": np.array([0.2, 0.6, 0.4]), "roughness": np.float32(0.35), "metallic": np.float32(0.7)}
     without_material = curtain(colors=np.tile(encode_srgb(np.array([0.2, 0.6, 0.4])), (243, 1)))
     matched = ls.MaterialPbr(roughness=0.35, metallic=0.7)
-    other = ls.MaterialPbr(roughness=0.9, metallic=0.1)
+    other = ls.MaterialPbr()
     scenes = [
         ls.Scene(splats=[ls.SplatInstance(capture, material=material)], lights=[light])
         for capture, material in ((curtain(**stored), other), (without_material, matched))

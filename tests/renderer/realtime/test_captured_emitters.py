@@ -15,6 +15,7 @@ from lumisplat.device.gi.captured_emitters import EmitterBox
 from lumisplat.math.transforms import rotation_from_degrees
 from lumisplat.renderer.scene.captured_emitters import boxes_of, is_separate_emitter
 from lumisplat.runtime.struct_tables import table_dtype
+from support.kinds import for_splats
 from support.probes import probe_captured_emitter_kernels as probe
 from support.scenes.path_scenes import diffuse
 
@@ -229,9 +230,12 @@ def test_realtime_captured_light_through_glass_matches_the_path_tracer() -> None
 def test_relit_gaussians_receive_and_block_captured_light_in_real_time() -> None:
     """A relit floor below a relit plate is as bright as in the path tracer, to 6 %."""
     material = diffuse(0.5)
-    floor = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(4.0, 4.0, material=material), 6000), material=material)
+    rest = for_splats(material)
+    floor = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(4.0, 4.0, material=material), 6000), material=rest)
     plate = ls.SplatInstance(
-        ls.gaussians_from_mesh(ls.plane(0.5, 0.5, material=material), 800), material=material, position=(0.0, 0.5, 0.6)
+        ls.gaussians_from_mesh(ls.plane(0.5, 0.5, material=material), 800),
+        material=rest,
+        position=(0.0, 0.5, 0.6),
     )
     scene, camera = ls.Scene([placed(1.0), floor, plate]), view(48, 32)
     truth, frame = (

@@ -264,7 +264,7 @@ def mesh_normal(
 
 def base_color(mesh: Mesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
     """Returns the linear base colours of meshes at P pixels, shape (P, 3)."""
-    color = np.ones((len(barycentric), 3)) * mesh.material.base_color
+    color = np.ones((len(barycentric), 3)) * mesh.material.mesh_color
     if mesh.colors is not None:
         color = color * (barycentric @ mesh.colors[face].astype(np.float64))
     texture = mesh.material.base_color_texture

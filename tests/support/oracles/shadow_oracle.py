@@ -142,8 +142,8 @@ def passed(surface: Facet, ray: Ray) -> np.ndarray:
     """
     material = surface.material
     assert isinstance(material, MaterialPbr)
-    if material.roughness > 0.0:
+    if material.mesh_roughness > 0.0:
         return np.zeros(3)
     reflectance, _ = fresnel(min(abs(float(surface.normal @ ray.direction)), 1.0), 1.0 / material.ior)
-    passes = material.transmission * (1.0 - material.metallic) * (1.0 - material.specular * reflectance)
+    passes = material.transmission * (1.0 - material.mesh_metallic) * (1.0 - material.specular * reflectance)
     return passes * surface.base

@@ -295,7 +295,7 @@ def shaded(
     world: World, ray: Ray, mesh: MeshHit, surface: Facet, bounces: int, throughput: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Returns colour, variance and slack of a mesh at a hit: the base colour, or the branches of a smooth surface."""
-    if surface.material.roughness > 0.0:
+    if surface.material.mesh_roughness > 0.0:
         return surface.color, np.zeros(3), 0.0
     color, onward, doubtful = branches(surface, ray, mesh)
     variance, slack = np.zeros(3), np.inf if doubtful else 0.0

@@ -25,7 +25,7 @@ def bsdf_row(material: ls.MaterialPbr, *, compensates: bool = False) -> npt.NDAr
     table = material_table(ls.Scene(meshes=[mesh]), lambda _: 0, is_lit=True, compensates=compensates)
     bsdf = wp.zeros(1, dtype=Bsdf, device="cpu")
     given = wp.array(table, dtype=MaterialData, device="cpu")
-    color = wp.vec3(*material.base_color)
+    color = wp.vec3(*material.mesh_color)
     Launcher("cpu", threads=1).run(probe_light_kernels.probe_material, 1, given, color, False, bsdf)
     return bsdf.numpy()
 

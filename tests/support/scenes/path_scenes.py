@@ -115,5 +115,5 @@ def irradiance_over(
         material = mesh.material
         assert isinstance(material, ls.MaterialPbr)
         radiance = hits.radiance[:, 1].astype(np.float64) - material.emissive[1]
-        found = np.concatenate([found, np.pi / material.base_color[1] * radiance])
+        found = np.concatenate([found, np.pi / material.mesh_color[1] * radiance])
     return found

@@ -307,8 +307,8 @@ def _with_colors(document: ls.io.SceneDocument, fit: ls.inverse.LightFit) -> tup
         owned.setdefault(entry.id, []).append(number)
     remarks: list[str] = []
     for entry_id, numbers in owned.items():
-        old = {before.meshes[number].mesh.material.base_color for number in numbers}
-        new = {after.meshes[number].mesh.material.base_color for number in numbers}
+        old = {before.meshes[number].mesh.material.mesh_color for number in numbers}
+        new = {after.meshes[number].mesh.material.mesh_color for number in numbers}
         if old == new:
             continue
         entry = document.entry(entry_id)

@@ -266,7 +266,7 @@ def splat_rows(splat: ls.SplatInstance) -> Rows:
     """Returns (name, value) rows about a capture instance of a scene, with its material."""
     rows = _placed(gaussian_rows(splat.gaussians), splat)
     if splat.material is not None:
-        rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material))]
+        rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material, splat.gaussians))]
     if splat.sh_degree < splat.gaussians.sh_degree:
         rows.append(("SH used", f"degree {splat.sh_degree}"))
     if splat.shadow_catcher:
@@ -331,7 +331,7 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
         ("has", ", ".join(has) or "positions only"),
         ("front", '+z, unless its entry or instance says front, such as front = "-z"'),
         *([("colours", f"black in {100.0 * black:.3g} % of the vertices")] if (black := black_share(mesh)) else []),
-        ("material", "{} base colour {:.3g} {:.3g} {:.3g}".format(material.name or "unnamed", *material.base_color)),
+        ("material", "{} base colour {:.3g} {:.3g} {:.3g}".format(material.name or "unnamed", *material.mesh_color)),
         ("surface", _surface(material)),
         *_inside(material),
     ]
@@ -445,11 +445,17 @@ def _setting(value: object) -> str:
     return str(getattr(value, "value", value))
 
 
-def _surface(material: Material) -> str:
-    """Returns the factors of a material, such as roughness and emission, as one line of text."""
+def _surface(material: Material, gaussians: ls.Gaussians | None = None) -> str:
+    """Returns the factors of a material, such as roughness and emission, as one line of text.
+
+    ``gaussians`` are those with the material; None for a mesh, whose base colour has a line of its own.
+    """
     if isinstance(material, ls.MaterialPbr):
-        names = ("metallic", "roughness", "specular", "ior", "transmission")
-        texts = [f"{name} {getattr(material, name):.3g}" for name in names]
+        given = material.values_on(gaussians)
+        texts = [f"metallic {given.metallic:.3g}", f"roughness {given.roughness:.3g}"]
+        texts += [f"{name} {getattr(material, name):.3g}" for name in ("specular", "ior", "transmission")]
+        if gaussians is not None and given.base_color != (1.0, 1.0, 1.0):
+            texts.insert(0, "base colour {:.3g} {:.3g} {:.3g}".format(*given.base_color))
         if any(material.emissive):
             sides = "" if material.double_sided else ", front only"
             texts.append("emissive {:.3g} {:.3g} {:.3g}".format(*material.emissive) + sides)

@@ -8,7 +8,7 @@ import warp as wp
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.math.random import draw
 from lumisplat.device.splat.blending import begin_relit, empty_pixel, instance_of, lay_behind
-from lumisplat.device.splat.projection import BEYOND_MAX, towards
+from lumisplat.device.splat.projection import BEYOND_MAX, tinted, towards
 from lumisplat.device.structs.bvh import SceneBvh, TraceData
 from lumisplat.device.structs.raster import BlendState
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray
@@ -42,8 +42,8 @@ def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
 def hit_color(view: TraceData, instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
     """Returns the display-referred colour, SH or albedo, of Gaussian ``i`` as seen from ``eye``, object space."""
     if instance.shows_albedo != 0:
-        return gaussians.albedo[i]
-    return gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree))
+        return tinted(instance, gaussians.albedo[i])
+    return tinted(instance, gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree)))
 
 
 @wp.func

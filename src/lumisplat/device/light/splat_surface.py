@@ -198,7 +198,7 @@ def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[Shading
 def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp.vec2:
     """Returns roughness and metallic of Gaussian ``gaussian`` of a splat instance.
 
-    With BSDF_PBR, values stored with the Gaussian replace those of the material.
+    With BSDF_PBR, values stored with the Gaussian are multiplied by those of the material.
     """
     # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     asset = scene[0].splats[instance].asset
@@ -206,9 +206,9 @@ def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp
     metallic = scene[0].materials[instance].metallic
     if scene[0].materials[instance].model == BSDF_PBR:
         if scene[0].attributes[asset].roughness.shape[0] > 0:
-            roughness = scene[0].attributes[asset].roughness[gaussian]
+            roughness *= scene[0].attributes[asset].roughness[gaussian]
         if scene[0].attributes[asset].metallic.shape[0] > 0:
-            metallic = scene[0].attributes[asset].metallic[gaussian]
+            metallic *= scene[0].attributes[asset].metallic[gaussian]
     return wp.vec2(roughness, metallic)
 
 

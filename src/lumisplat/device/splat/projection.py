@@ -8,6 +8,7 @@ import math
 import warp as wp
 
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, SH_COEFFICIENTS_MAX
+from lumisplat.device.math.color import decode_srgb_color, encode_srgb_color
 from lumisplat.device.math.sh import C0, C1, C2_XX, C2_XY, C2_ZZ, C3_0, C3_1, C3_2, C3_3, C3_5, sh_color
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
@@ -113,6 +114,14 @@ def above_horizon(direction: wp.vec3, axis: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def tinted(instance: SplatInstanceData, color: wp.vec3) -> wp.vec3:
+    """Returns a display-referred colour multiplied by the instance's tint, in linear light."""
+    if instance.tint[0] * instance.tint[1] * instance.tint[2] == 1.0:
+        return color
+    return encode_srgb_color(wp.cw_mul(instance.tint, decode_srgb_color(color)))
+
+
+@wp.func
 def shown_color(
     sh_degree: int, instance: SplatInstanceData, gaussians: GaussianData, i: int, to_eye: wp.vec3
 ) -> wp.vec3:
@@ -121,10 +130,10 @@ def shown_color(
     ``to_eye`` is the vector from the Gaussian's mean to the eye, object space.
     """
     if instance.shows_albedo != 0:
-        return gaussians.albedo[i]
+        return tinted(instance, gaussians.albedo[i])
     stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
     degree = wp.min(wp.min(sh_degree, instance.sh_degree), stored)
-    return sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
+    return tinted(instance, sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye)))
 
 
 @wp.func

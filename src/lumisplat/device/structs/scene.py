@@ -77,6 +77,8 @@ class SplatInstanceData:
     """Highest SH degree, 0 to 3, at which the instance's colours are evaluated."""
     shows_albedo: int
     """1: the colour of a Gaussian is its stored albedo, for relighting; 0: its captured colour from SH."""
+    tint: wp.vec3
+    """Linear factor on the colours of the Gaussians, 0..1: the base colour of a relit set's material."""
     stored_normals: int
     """1: the instance is lit by the normals stored with its Gaussians; 0: by normals computed from their shapes."""
     shadow_catcher: int

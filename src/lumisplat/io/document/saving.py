@@ -247,7 +247,7 @@ class _Folder:
         """Returns a mesh's material as a scene file table, and writes its textures as PNG: PLY stores no materials."""
         mesh = entry.meshes[0].mesh
         material, given = mesh.material, entry.table.get("material", {})
-        table: dict[str, Any] = {"base_color": list(material.base_color)} | material_table(material)
+        table: dict[str, Any] = {"base_color": list(material.mesh_color)} | material_table(material)
         wraps = material.texture_wraps if isinstance(material, MaterialPbr) else None
         wrap_values: dict[str, list[str]] = {}
         for key in texture_names(material):

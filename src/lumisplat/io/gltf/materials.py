@@ -376,9 +376,9 @@ class MaterialWriter:
             return self._texture(material, name) if textured else None
 
         surface: _Item = {
-            "baseColorFactor": [*material.base_color, material.alpha],
-            "metallicFactor": material.metallic,
-            "roughnessFactor": material.roughness,
+            "baseColorFactor": [*material.mesh_color, material.alpha],
+            "metallicFactor": material.mesh_metallic,
+            "roughnessFactor": material.mesh_roughness,
             "baseColorTexture": texture("base_color_texture"),
             "metallicRoughnessTexture": texture("metallic_roughness_texture"),
         }

@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 from lumisplat.errors import SceneError
 from lumisplat.io.images.texture import read_texture
 from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, is_object, schema, suggestion
-from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
+from lumisplat.scene.materials import MESH_COLOR, Material, MaterialPbr, MaterialSimple
 
 MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
 """Material classes by their ``type`` in a scene file."""
-_SHARED = ("base_color", "base_color_texture", "name")
-"""Fields that `MaterialPbr` and `MaterialSimple` have in common.
+_SHARED = ("base_color_texture", "name")
+"""Fields, beside the base colour, that `MaterialPbr` and `MaterialSimple` have in common.
 
 A material table takes these fields even from a file's material of the other type."""
 
@@ -43,10 +43,12 @@ class MaterialTable:
         surface has the default grey, the base colour becomes white, so that the grey does not darken the texture.
         """
         if isinstance(file_material, self.kind):
-            is_grey = isinstance(file_material, MaterialPbr) and file_material.base_color == MaterialPbr().base_color
+            is_grey = isinstance(file_material, MaterialPbr) and file_material.mesh_color == MESH_COLOR
             white = {"base_color": (1.0, 1.0, 1.0)} if is_grey and "base_color_texture" in self.values else {}
             return replace(file_material, **(white | self.values))
-        shared = {} if file_material is None else {name: getattr(file_material, name) for name in _SHARED}
+        shared: Values = {}
+        if file_material is not None:
+            shared = {name: getattr(file_material, name) for name in _SHARED} | {"base_color": file_material.mesh_color}
         return self.kind(**(shared | self.values))
 
 

@@ -73,7 +73,7 @@ class _TextureInput:
     label: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class _ShaderInput:
     """Where the value of a shader input comes from: a constant, a texture, or a mesh primvar, given by name."""
 
@@ -215,7 +215,10 @@ _UNSUPPORTED_FIELDS = {
 
 A field with another value is logged."""
 
-_Key = tuple[int, bool]
+_SPLAT_FACTORS = {"base_color": "diffuseColor", "metallic": "metallic", "roughness": "roughness"}
+"""Material fields that are factors on the values of a capture, and their inputs of a UsdPreviewSurface."""
+
+_Key = tuple[int, bool, bool]
 
 
 class ReadMaterial(NamedTuple):
@@ -226,6 +229,9 @@ class ReadMaterial(NamedTuple):
     """Primvar and transform of the texture coordinates that all textures of the material share."""
     color_primvar: str = ""
     """Name of the mesh primvar that provides the base colour; empty if no primvar does."""
+    on_splats: MaterialPbr | None = None
+    """The material as captures have it: of base colour, metallic and roughness, those that the file does not give are
+    None, so that they leave the capture's own values unchanged."""
 
 
 class UsdMaterials:
@@ -323,9 +329,10 @@ class _Decoder:
         self._normals_and_occlusion()
         self._coat()
         self._opacity()
-        return ReadMaterial(
-            MaterialPbr(**self._values, **self._wrap_values(), name=name), self._uv_transform or UvTransform(), primvar
-        )
+        material = MaterialPbr(**self._values, **self._wrap_values(), name=name)
+        absent = [name for name, key in _SPLAT_FACTORS.items() if surface.read(key) == _ShaderInput()]
+        on_splats = replace(material, **dict.fromkeys(absent))
+        return ReadMaterial(material, self._uv_transform or UvTransform(), primvar, on_splats)
 
     def _texture_input(self, name: str) -> _TextureInput | None:
         """Returns the texture of a shader input; None if no texture is connected.
@@ -491,17 +498,18 @@ class MaterialWriter:
     writer: StageWriter
     _cache: dict[_Key, tuple[Material, Any]] = field(default_factory=dict[_Key, "tuple[Material, Any]"])
 
-    def bind(self, prim: Any, material: Material, has_colors: bool = False) -> None:
+    def bind(self, prim: Any, material: Material, has_colors: bool = False, on_splats: bool = False) -> None:
         """Binds a material to a prim, and writes the material on first use.
 
         Args:
             prim: A mesh or a particle field.
             material: Its material.
             has_colors: Whether the mesh has vertex colours (primvar displayColor), which multiply the base colour.
+            on_splats: Whether the prim is a particle field: fields that are factors on its values are left out if None.
         """
-        key = id(material), has_colors
+        key = id(material), has_colors, on_splats
         if key not in self._cache:
-            self._cache[key] = material, _Network(self.writer, material, has_colors).material
+            self._cache[key] = material, _Network(self.writer, material, has_colors, on_splats).material
         px = pxr()
         px.UsdShade.MaterialBindingAPI.Apply(prim).Bind(self._cache[key][1])
 
@@ -509,7 +517,7 @@ class MaterialWriter:
 class _Network:
     """Writes one material as a network of shader prims around a UsdPreviewSurface."""
 
-    def __init__(self, writer: StageWriter, material: Material, has_colors: bool) -> None:
+    def __init__(self, writer: StageWriter, material: Material, has_colors: bool, on_splats: bool) -> None:
         px = pxr()
         self._writer, self._material = writer, material
         self._name = material.name or "material"
@@ -521,6 +529,9 @@ class _Network:
         self.material.CreateSurfaceOutput().ConnectToSource(self._surface.ConnectableAPI(), "surface")
         if isinstance(material, MaterialPbr):
             self._write_pbr(material, has_colors)
+            for name, key in _SPLAT_FACTORS.items() if on_splats else ():
+                if getattr(material, name) is None and (given := self._surface.GetInput(key)):
+                    self._surface.GetPrim().RemoveProperty(given.GetFullName())
         else:
             self._write_simple(material, has_colors)
 
@@ -554,17 +565,10 @@ class _Network:
             field_value = getattr(material, name)
             if field_value is not neutral and field_value != neutral:
                 self._writer.remarks.add(remark, self._name)
-        self._write_color(material, material.base_color, has_colors)
-        self._write_plane(
-            "metallic_roughness",
-            "roughness",
-            material.roughness,
-            "g",
-            (1.0, material.roughness, material.metallic, 1.0),
-        )
-        self._write_plane(
-            "metallic_roughness", "metallic", material.metallic, "b", (1.0, material.roughness, material.metallic, 1.0)
-        )
+        self._write_color(material, material.mesh_color, has_colors)
+        roughness, metallic = material.mesh_roughness, material.mesh_metallic
+        self._write_plane("metallic_roughness", "roughness", roughness, "g", (1.0, roughness, metallic, 1.0))
+        self._write_plane("metallic_roughness", "metallic", metallic, "b", (1.0, roughness, metallic, 1.0))
         self._set(self._surface, "ior", "Float", material.ior)
         self._write_plane("clearcoat", "clearcoat", material.clearcoat, "r", (material.clearcoat,) * 3 + (1.0,))
         rough = material.clearcoat_roughness

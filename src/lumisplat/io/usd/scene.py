@@ -219,7 +219,7 @@ class StageReader:
         # Other programs bind materials of their renderer, which show the colours as captured: no remark.
         bound = materials.bound_to(placed.prim, remark=False)
         settings = _settings(placed.prim)
-        return [SplatInstance(gaussians, matrix, bound and bound.material, name=placed.name, **settings)]
+        return [SplatInstance(gaussians, matrix, bound and bound.on_splats, name=placed.name, **settings)]
 
     def _add_light(self, placed: PlacedPrim) -> None:
         """Adds a light to `lights`, unless its transform is singular or it is a second enabled environment."""

@@ -124,7 +124,7 @@ class AssetWriter:
             return prim
         prim = define_field(self.writer, path, instance.gaussians)
         if instance.material is not None:
-            self.materials.bind(prim, instance.material)
+            self.materials.bind(prim, instance.material, on_splats=True)
             self.writer.remarks.add("relighting of captures, which only Lumisplat reads", instance.name)
         if instance.shadow_catcher or instance.sh_degree < SH_DEGREE_MAX:
             self.writer.set_custom_data(prim, shadow_catcher=instance.shadow_catcher, sh_degree=instance.sh_degree)
@@ -205,9 +205,9 @@ def _colors(mesh: Mesh) -> Any:
     """
     assert mesh.colors is not None
     material = mesh.material
-    if material.base_color_texture is not None or material.base_color == (1.0, 1.0, 1.0):
+    if material.base_color_texture is not None or material.mesh_color == (1.0, 1.0, 1.0):
         return mesh.colors
-    factor = np.array(material.base_color)
+    factor = np.array(material.mesh_color)
     if not isinstance(material, MaterialPbr):
         factor = factor * material.diffuse
     return (mesh.colors * factor).astype(np.float32)

@@ -431,7 +431,7 @@ def _matt_surfaces(scene: Scene, instances: IntArray) -> IntArray:
 
 
 def _is_matt(material: Material | None) -> bool:
-    return not isinstance(material, MaterialPbr) or material.roughness >= SMOOTH_ROUGHNESS_MIN
+    return not isinstance(material, MaterialPbr) or material.mesh_roughness >= SMOOTH_ROUGHNESS_MIN
 
 
 def _shifted(image: npt.NDArray[_Number], offset: tuple[int, int]) -> npt.NDArray[_Number]:

@@ -194,7 +194,7 @@ def with_base_colors(scene: Scene, colors: Mapping[BaseColor, Doubles]) -> Scene
 
 def _color(scene: Scene, base_color: BaseColor) -> Doubles:
     if base_color.capture is None:
-        return np.array(scene.meshes[base_color.meshes[0]].mesh.material.base_color, np.float64)
+        return np.array(scene.meshes[base_color.meshes[0]].mesh.material.mesh_color, np.float64)
     return base_colors(scene.splats[base_color.capture].gaussians).mean(axis=0)
 
 

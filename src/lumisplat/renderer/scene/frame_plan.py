@@ -499,7 +499,8 @@ def samples_of(noise_sources: tuple[str, ...], scene: Scene) -> int:
 def has_rough_metal(scene: Scene) -> bool:
     """Returns whether a scene has a rough metal, which shows only reflections, and an object that it can reflect."""
     rough = (
-        isinstance(one, MaterialPbr) and one.metallic >= METAL_MIN and not one.is_smooth for one in materials_of(scene)
+        isinstance(one, MaterialPbr) and one.mesh_metallic >= METAL_MIN and not one.is_smooth
+        for one in materials_of(scene)
     )
     return len(scene.meshes) + len(scene.splats) > 1 and any(rough)
 

@@ -18,7 +18,14 @@ from lumisplat.device.structs.scene import (
 )
 from lumisplat.renderer.scene.assets import MeshAssets
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.scene.materials import fill_layers, is_medium, is_relit, shading_overrides, write_texture
+from lumisplat.renderer.scene.materials import (
+    fill_layers,
+    is_medium,
+    is_relit,
+    shading_overrides,
+    tint_of,
+    write_texture,
+)
 from lumisplat.renderer.trees.mesh_bvh import InstanceBoxes
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
@@ -69,6 +76,7 @@ def splat_instance_table(
     table["relit"] = [is_lit and is_relit(instance) for instance in scene.splats]
     for name, values in shading_overrides(scene, is_lit).items():
         table[name] = values
+    table["tint"] = [tint_of(instance) if is_lit else (1.0, 1.0, 1.0) for instance in scene.splats]
     antialiasing = config.raster.antialiasing
     table["antialiased"] = [is_antialiased(instance.gaussians, antialiasing) for instance in scene.splats]
     table["footprint"] = [footprint_of(instance.gaussians, config) for instance in scene.splats]
@@ -143,7 +151,7 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, pla
     mesh, material = instance.mesh, instance.mesh.material
     row["face_first"] = assets.face_first(mesh)
     row["has_normals"] = mesh.normals is not None
-    row["base_color"] = material.base_color
+    row["base_color"] = material.mesh_color
     texture = material.base_color_texture
     if texture is not None and mesh.uvs is not None:
         write_texture(row["texture"], texture, wraps_of(material, "base_color_texture"), assets.texture_first)
@@ -154,7 +162,8 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, pla
     row["alpha"]["is_bent"] = plan.traces_paths and is_body
     row["material"]["smooth"] = material.is_smooth
     if isinstance(material, MaterialPbr):
-        for name in ("metallic", "specular", "ior", "transmission", "thin_walled", "priority"):
+        row["material"]["metallic"] = material.mesh_metallic
+        for name in ("specular", "ior", "transmission", "thin_walled", "priority"):
             row["material"][name] = getattr(material, name)
         row["material"]["is_medium"] = is_medium(instance, traces_paths=plan.traces_paths)
         row["material"]["absorption"] = absorption_of(material)

@@ -14,7 +14,15 @@ from lumisplat.device.structs.shading import BSDF_PBR, BSDF_SIMPLE, MaterialData
 from lumisplat.math.reflectance import albedo_curve, mean_fresnel
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.lights import LightEnvironment
-from lumisplat.scene.materials import Color, Material, MaterialPbr, MaterialSimple, TextureWrap, WrapPair, wraps_of
+from lumisplat.scene.materials import (
+    Color,
+    Material,
+    MaterialPbr,
+    MaterialSimple,
+    TextureWrap,
+    WrapPair,
+    wraps_of,
+)
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
@@ -106,6 +114,17 @@ def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
     }
 
 
+def tint_of(instance: SplatInstance) -> Color:
+    """Returns the factor on the colour of a splat set in lit frames: the base colour of its `MaterialPbr`.
+
+    It is white for sets that show captured colours, as shadow catchers and sets that emit them fully do.
+    """
+    material = material_of(instance)
+    if not isinstance(material, MaterialPbr) or not is_relit(instance):
+        return (1.0, 1.0, 1.0)
+    return material.values_on(instance.gaussians).base_color
+
+
 def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, compensates: bool = False) -> np.ndarray:
     """Returns one row of MaterialData per instance: splats first, then meshes.
 
@@ -121,6 +140,8 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, c
     for row, splats in zip(rows, scene.splats, strict=False):
         material = material_of(splats)
         _fill(row, material)
+        if isinstance(material, MaterialPbr):
+            _, row["metallic"], row["roughness"] = material.values_on(splats.gaussians)
         row["emits_capture_only"] = not is_lit or emits_capture_only(splats)
         row["keeps_capture"] = not is_lit or not is_relit(splats)
         if splats.shadow_catcher:
@@ -147,7 +168,8 @@ def _fill(row: Any, material: Material) -> None:
     fill_layers(row, material)
     row["sheen"] = material.sheen_color
     row["sheen_alpha"] = max(material.sheen_roughness, SHEEN_ROUGHNESS_MIN) ** 2
-    for name in ("double_sided", "metallic", "roughness", "ior", "transmission", "thin_walled"):
+    row["metallic"], row["roughness"] = material.mesh_metallic, material.mesh_roughness
+    for name in ("double_sided", "ior", "transmission", "thin_walled"):
         row[name] = getattr(material, name)
     row["normal_scale"], row["occlusion_strength"] = material.normal_scale, material.occlusion_strength
 

@@ -238,8 +238,10 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
 
     Returns:
         Gaussians in the mesh's object space, with ``normals`` (interpolated shading normals if the mesh has them),
-        ``albedo`` (linear) and, from a `MaterialPbr`, ``roughness`` and ``metallic``. They are ``antialiased``, so that
-        the renderer does not dilate them: unlike trained captures, they are not trained to compensate for the dilation.
+        ``albedo`` (linear) and, from a `MaterialPbr`, ``roughness`` and ``metallic``. A `MaterialPbr` of a
+        `SplatInstance` multiplies these, so leave them out there: ``MaterialPbr()`` looks as the mesh does. They are
+        ``antialiased``, so that the renderer does not dilate them: unlike trained captures, they are not trained to
+        compensate for the dilation.
 
     Raises:
         SceneError: ``mesh`` is not a mesh, or ``count`` is not a whole number from 1 to 50,000,000.
@@ -301,8 +303,8 @@ def _opaque_discs(
         sh=(encode_srgb(albedo)[:, None, :] - 0.5) / SH_C0,
         normals=normals,
         albedo=albedo,
-        roughness=np.full(count, material.roughness) if is_pbr else None,
-        metallic=np.full(count, material.metallic) if is_pbr else None,
+        roughness=np.full(count, material.mesh_roughness) if is_pbr else None,
+        metallic=np.full(count, material.mesh_metallic) if is_pbr else None,
         antialiased=True,  # discs fit the surface: no trainer has compensated for dilation
     )
 

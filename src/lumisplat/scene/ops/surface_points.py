@@ -172,7 +172,7 @@ def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Fl
         width: Width over which the texture is averaged, scene units.
     """
     corners = mesh.indices[faces]
-    colors = np.tile(np.asarray(mesh.material.base_color), (faces.size, 1))
+    colors = np.tile(np.asarray(mesh.material.mesh_color), (faces.size, 1))
     if mesh.colors is not None:
         colors *= interpolate_vertices(mesh.colors, corners, weights)
     texture = mesh.material.base_color_texture

@@ -91,6 +91,29 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
     return found
 
 
+def material_fields(material: Any, gaussians: ls.Gaussians | None) -> list[tuple[Setting, Any]]:
+    """Returns a description and the value of each field of a material, as the inspector shows them.
+
+    Fields that are None show the value that they stand for.
+
+    Args:
+        material: The material.
+        gaussians: The capture with the material; None for a mesh.
+    """
+    kind = cast("type[Any]", type(material))
+    is_pbr = isinstance(material, ls.MaterialPbr)
+    in_force = material.values_on(gaussians)._asdict() if is_pbr else {}
+    without = _WITHOUT if is_pbr or gaussians is None else (*_WITHOUT, "base_color")
+    return [
+        (
+            replace(field, name=f"material.{field.name}", is_optional=field.is_optional and field.name not in in_force),
+            in_force.get(field.name, getattr(material, field.name)),
+        )
+        for field in control_settings(kind)
+        if field.name not in without
+    ]
+
+
 def shading_of(entry: ls.io.SceneEntry) -> str:
     """Returns the entry of the shading dropdown for a capture, such as ``relit, PBR``, or of the material dropdown."""
     if not entry.splats:
@@ -219,9 +242,7 @@ class Inspector:
         elif entry.meshes:
             material = entry.meshes[0].mesh.material
         if material is not None:
-            kind = cast("type[Any]", type(material))
-            own = [field for field in control_settings(kind) if field.name not in _WITHOUT]
-            fields += [(replace(field, name=f"material.{field.name}"), getattr(material, field.name)) for field in own]
+            fields += material_fields(material, entry.splats[0].gaussians if entry.splats else None)
         return fields
 
     def _putter(self, entry: ls.io.SceneEntry, field: Setting) -> Callable[[Any], None]:
