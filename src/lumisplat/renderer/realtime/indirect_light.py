@@ -60,11 +60,6 @@ class IndirectLight:
         """Returns the modules of the kernels that this class launches in a frame."""
         return [*self._rays.modules(plan), kernels, *self.probes.modules(), *self.cache.modules()]
 
-    def reset(self) -> None:
-        """Begins a new sequence of frames: drops the radiance in screen probes and in the radiance cache."""
-        self.cache.reset()
-        self.probes.reset()
-
     def begin_frame(self, size: tuple[int, int], frame: int) -> None:
         """Begins frame ``frame`` of an image of ``size`` (width, height)."""
         self.probes.begin(size, frame)

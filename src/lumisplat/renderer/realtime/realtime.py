@@ -5,7 +5,6 @@ The method is in docs/method/realtime.md.
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 
 import warp as wp
@@ -35,8 +34,6 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 INDIRECT_SHARED = 4
 """Number of pixels that share a sample of indirect light, and therefore its noise: 2 x 2 pixels share a highlight ray.
 """
-
-_log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +83,6 @@ class RealtimeIntegrator:
             for kind in (SPLATS, MESHES)
         }
         self._size: tuple[int, int] | None = None
-        self._has_warned_of_size = False
         self._layers: dict[str, DeviceArray] = {}
         self._lit: dict[int, LitSurfaces] = {}
         """Result of the last `shade` of an even frame (0) and of an odd one (1)."""
@@ -198,12 +194,13 @@ class RealtimeIntegrator:
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
 
     def _restart(self, size: tuple[int, int]) -> None:
-        """Begins a new sequence with images of ``size``, because no earlier lighting has this size."""
-        if self._size is not None and not self._has_warned_of_size:
-            before, now = ("{} x {}".format(*pixels) for pixels in (self._size, size))
-            _log.warning("the image size has changed from %s to %s: the real-time history is discarded", before, now)
-            self._has_warned_of_size = True
-        for part in (self._gbuffer, self._indirect, self._antialiasing, *self._filters.values()):
+        """Drops the histories of pixels and probes, because none has images of ``size``.
+
+        The radiance cache holds light of the scene, not of the image: it stays, unless a new sequence begins.
+        """
+        if self._size is None:
+            self._indirect.cache.reset()
+        for part in (self._gbuffer, self._indirect.probes, self._antialiasing, *self._filters.values()):
             part.reset()
         self._size = size
 
