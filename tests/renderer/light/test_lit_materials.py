@@ -10,6 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
+from support.kinds import present
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, front_camera
 
@@ -160,6 +161,19 @@ def test_material_multiplies_what_a_relit_set_has(stores: bool, pipeline: ls.Pip
     assert np.abs(plain - factors).max() > 0.1 * plain.max()
     neutral = {"base_color": 1.0} | ({"roughness": 1.0, "metallic": 1.0} if stores else {})
     np.testing.assert_array_equal(seen(albedo, 0.7, **neutral), plain)
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_albedo_of_a_relit_capture_is_its_decoded_picture(pipeline: ls.Pipeline) -> None:
+    """Colours that differ along a ray are blended as captured, and decoded afterwards."""
+    colors = np.repeat([[0.9, 0.8, 0.1], [0.1, 0.2, 0.9], [0.5, 0.5, 0.5]], 81, axis=0)
+    capture, camera = curtain(opacity=0.6, colors=colors), front_camera(24, 18, 30.0)
+    order = ls.TraceConfig(hit_distance=ls.config.HitDistance.MEAN)
+    config = ls.RenderConfig(pipeline=pipeline, lighting=False, trace=order)
+    picture = ls.render(ls.Scene([capture]), camera, config, device="cpu").color[7:11, 10:14]
+    splats = ls.SplatInstance(capture, material=MATT)
+    frame = lit(ls.Scene(splats=[splats], lights=[FACING]), pipeline, aovs=("albedo",), trace=order)
+    np.testing.assert_allclose(present(frame.albedo)[7:11, 10:14], decode_srgb(picture), rtol=5e-3)
 
 
 def test_tint_of_one_set_does_not_reach_the_sets_behind_it() -> None:

@@ -236,11 +236,9 @@ def branches(surface: Facet, ray: Ray, hit: MeshHit) -> tuple[np.ndarray, list[B
     reflectance, beyond = fresnel(cosine, relative_ior)
     if beyond > 0.0:
         reflectance *= material.specular
-    passing = (1.0 - material.mesh_metallic) * (1.0 - reflectance) * surface.color
-    mirrored = (
-        material.mesh_metallic * encode_srgb(schlick(surface.base, cosine))
-        + (1.0 - material.mesh_metallic) * reflectance
-    )
+    metallic = material.mesh_metallic
+    passing = (1.0 - metallic) * (1.0 - reflectance) * surface.color
+    mirrored = metallic * encode_srgb(schlick(surface.base, cosine)) + (1.0 - metallic) * reflectance
 
     # Branches start slightly off the surface.
     blur = hit.error + ray.blur + ray.turn * hit.t + 16.0 * ROUNDING * np.abs(ray.at(hit.t)).max()
