@@ -9,7 +9,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, cast, get_args, get_type_hints
@@ -289,11 +289,14 @@ def _scene_values(one: Setting, key: str, kind: Kind) -> str:
         return "an `.hdr` or `.exr` file"
     if key.endswith("_texture"):
         return "an image file"
+    one = replace(one, is_optional=False)  # a key is left out in place of None
     return _values(one).removesuffix(" x image") if one.kind in ("number", "whole", "choice", "flag") else kind.expected
 
 
 def _scene_value(one: Setting, key: str) -> str:
     """Returns the default of a field as a scene file has it."""
+    if one.default is None:
+        return ""
     return f"{math.degrees(one.default):g}" if key.endswith(DEGREES) else _value(one, one.default)
 
 

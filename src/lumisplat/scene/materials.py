@@ -131,14 +131,15 @@ class MaterialPbr:
     """
 
     base_color: Color | None = given(converter=OptionalColor(), default=None)
-    """Linear Rec.709 base colour of a mesh, multiplied by the texture; None: ``(0.8, 0.8, 0.8)``. ``(1, 1, 1)``, glTF's
-    default, shows the texture unchanged. For splats, a factor on their own colour; None leaves it unchanged."""
+    """Linear Rec.709 base colour of a mesh, multiplied by the texture; by default ``(0.8, 0.8, 0.8)``. ``(1, 1, 1)``,
+    glTF's default, shows the texture unchanged. For splats, a factor on their own colour, which by default stays
+    unchanged."""
     metallic: Share | None = None
-    """Metalness: 0 is a dielectric, 1 a metal; None: 0. For splats with metalness of their own, a factor on it; None
-    leaves it unchanged."""
+    """Metalness: 0, the default, is a dielectric, 1 a metal. For splats with metalness of their own, a factor on it, by
+    default 1."""
     roughness: Share | None = None
-    """Perceptual roughness; exactly 0 is smooth; None: 0.5. The roughness of splats is at least 0.03. For splats with
-    roughness of their own, a factor on it; None leaves it unchanged."""
+    """Perceptual roughness, by default 0.5; exactly 0 is smooth. The roughness of splats is at least 0.03. For splats
+    with roughness of their own, a factor on it, by default 1."""
     specular: Share = 1.0
     """Strength of the dielectric's specular reflection (KHR_materials_specular): 1 is full Fresnel reflection, 0 none.
     """
