@@ -194,3 +194,16 @@ def test_temporal_antialiasing_does_not_depend_on_thread_count() -> None:
             results.append([smooth.render(scene, CAMERA).color for scene in scenes])
     for result in results[1:]:
         np.testing.assert_array_equal(result, results[0])
+
+
+@pytest.mark.parametrize("relit", [True, False])
+def test_small_relit_gaussian_objects_cover_as_much_as_rays_find(relit: bool) -> None:
+    """Silhouettes are those of rays and not wider by the dilation, which still single samples of unlit sets need."""
+    gaussians = ls.gaussians_from_mesh(ls.sphere(0.5), 20_000)
+    ball = ls.SplatInstance(gaussians, position=(0.1, 0.05, 4.0), material=ls.MaterialPbr() if relit else None)
+    scene, camera = ls.Scene([ball], (), [LIGHT]), front_camera().scaled(32, 24)
+    drawer = renderer()
+    *_, covered = (drawer.render(scene, camera).alpha.sum() for _ in range(48))
+    traced = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=64)
+    expected = ls.render(scene, camera, traced, device="cpu").alpha.sum()
+    assert (abs(covered / expected - 1.0) < 0.02) == relit, covered / expected

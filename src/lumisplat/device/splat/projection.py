@@ -150,6 +150,12 @@ def shown_normal(
 
 
 @wp.func
+def dilation_of(dilation: float, instance: SplatInstanceData) -> float:
+    """Returns the variance added to the projected covariances of an instance, pixel^2: ``dilation`` or 0."""
+    return wp.where(instance.undilated != 0, 0.0, dilation)
+
+
+@wp.func
 def project_gaussian(
     camera: CameraData, raster: RasterData, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> Splat:
@@ -172,12 +178,13 @@ def project_gaussian(
     v = spread[1]
     uu = wp.dot(u, u)
     vv = wp.dot(v, v)
-    xx = uu + raster.dilation
+    dilation = dilation_of(raster.dilation, instance)
+    xx = uu + dilation
     xy = wp.dot(u, v)
-    yy = vv + raster.dilation
+    yy = vv + dilation
     area = wp.cross(u, v)
     det_before = wp.dot(area, area)  # Lagrange's identity: the determinant without cancellation
-    det = det_before + raster.dilation * (uu + vv + raster.dilation)
+    det = det_before + dilation * (uu + vv + dilation)
     if det <= DET_MIN:
         return splat
     if not det < wp.inf:
@@ -242,9 +249,10 @@ def depth_plane(
 ) -> wp.vec3:
     """Returns the vector k: on a camera ray r with z = 1, Gaussian ``i`` responds most at view depth ``dot(k, r)``.
 
-    The Gaussian is widened as its splat is: ``dilation`` is the variance added to the projected covariance, pixel^2.
-    The Gaussian must lie beyond the near plane.
+    The Gaussian is widened as its splat is: ``dilation`` is the variance of the settings that is added to the projected
+    covariance, pixel^2. The Gaussian must lie beyond the near plane.
     """
+    dilation = dilation_of(dilation, instance)
     view = instance.camera_from_object * gaussians.means[i] + instance.camera_from_object_offset
     spread = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
     in_image = projection_jacobian(camera, view) * instance.camera_from_object * spread

@@ -69,6 +69,8 @@ class SplatInstanceData:
     kernel: KernelData
     antialiased: int
     """1: the opacity is reduced to compensate for the dilation of the projected Gaussian (Mip-Splatting)."""
+    undilated: int
+    """1: the rasteriser adds no dilation to the projected Gaussians, because frames average jittered samples."""
     footprint: float
     """Standard deviation by which rays widen Gaussians, in pixel widths; 0: no widening."""
     hit_distance: int

@@ -17,7 +17,7 @@ from lumisplat.device.structs.scene import (
     SplatInstanceData,
 )
 from lumisplat.renderer.scene.assets import MeshAssets
-from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.frame_plan import FramePlan, may_jitter
 from lumisplat.renderer.scene.materials import (
     fill_layers,
     is_medium,
@@ -79,6 +79,9 @@ def splat_instance_table(
     table["tint"] = [tint_of(instance) if is_lit else (1.0, 1.0, 1.0) for instance in scene.splats]
     antialiasing = config.raster.antialiasing
     table["antialiased"] = [is_antialiased(instance.gaussians, antialiasing) for instance in scene.splats]
+    table["undilated"] = (
+        table["antialiased"] * table["relit"] * (config.pipeline.is_sequence and may_jitter(config, is_lit=is_lit))
+    )
     table["footprint"] = [footprint_of(instance.gaussians, config) for instance in scene.splats]
     table["hit_distance"] = [hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats]
     for row, instance in zip(table, scene.splats, strict=True):
