@@ -57,6 +57,28 @@ def test_screen_probes_give_exact_irradiance_in_a_white_furnace_with_a_moving_ca
         np.testing.assert_allclose(light, np.broadcast_to(np.pi * GREY, light.shape), rtol=4e-6)
 
 
+def test_a_small_ball_of_gaussians_with_a_black_inside_gets_exact_light_of_screen_probes() -> None:
+    """In constant radiance, pixels beside a probe look below its horizon, where its rays would enter the ball."""
+    camera = ls.Camera.look_at((0.1, 0.2, 4.0), (0, 0, 0), (0.1, 1.0, 0.0), width=48, height=48, fov_y=0.6)
+    eye, directions = pixel_rays(camera)
+    along, missed = directions @ eye, eye @ eye - 0.25
+    hit = along**2 > missed
+    distance = np.where(hit, -along - np.sqrt(np.maximum(along**2 - missed, 0.0)), 0.0)
+    position = eye + distance[:, None] * directions
+    surfaces = VisibleSurfaces(
+        camera, hit.astype(np.float64), position, position / 0.5, distance, np.full(len(hit), 0.02), position.copy()
+    )
+
+    def environment(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
+        enters = (origins * directions).sum(axis=1) < 0.0
+        return np.where(enters[:, None], 0.0, GREY), np.where(enters, 0.5, np.inf)
+
+    sequence = ProbeSequence(environment, tile=8)
+    for _ in range(3):
+        light = sequence.render(surfaces)[hit]
+        np.testing.assert_allclose(light, np.broadcast_to(np.pi * GREY, light.shape), rtol=4e-6)
+
+
 @pytest.mark.parametrize("degrees", [0, 20, 45, 70, 90, 120])
 @pytest.mark.parametrize("extent", [0.0, 0.02])
 def test_screen_probe_irradiance_under_a_bright_half_sphere_is_within_3_percent(degrees: float, extent: float) -> None:

@@ -118,8 +118,8 @@ def test_directional_cells_of_reprojected_screen_probes_match_the_reference(exte
     for i in np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0)).tolist():
         source = int(after["source"][i])
         old, new = before["position"][source], after["position"][i]
-        horizon = after["normal"][i] if extent == 0.0 else None
-        expected, found = oracle.carried(one(cells, source), old, new, horizon, ProbeConfig().history), one(carried, i)
+        normal = after["normal"][i]
+        expected, found = oracle.carried(one(cells, source), old, new, normal, ProbeConfig().history), one(carried, i)
         same = np.isclose(found.samples, expected.samples)
         assert same.mean() > 0.96, "float32 may put directions on a border into the next cell"
         np.testing.assert_allclose(found.radiance[same].mean(), expected.radiance[same].mean(), rtol=0.02)
@@ -146,32 +146,36 @@ def test_screen_probes_on_a_moving_surface_move_with_it() -> None:
 
 
 def test_screen_probe_rays_are_distributed_uniformly_over_each_directional_cell() -> None:
-    """Each cell has one ray per refresh; the directions are spread over the cell and do not repeat."""
+    """Each cell above the horizon has one ray per refresh; directions are spread over the cell and do not repeat."""
     sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), refreshed=1.0)
     surfaces = visible_box(box_camera(), 0.004)
     points = []
     for _ in range(4):
         sequence.place(surfaces)
+        active = np.flatnonzero(device_array(sequence.probes.rays().is_active).numpy())
         sequence.trace()
         sequence.frame += 1
-        directions = sequence.rays[1].reshape(-1, CELLS, 3)
-        squares = np.array([[oracle.square_of(direction) for direction in probe] for probe in directions[:20]]) * 8
-        np.testing.assert_array_equal(np.minimum(squares.astype(int), 7) @ [1, 8], np.tile(np.arange(CELLS), (20, 1)))
+        first = active[active < 40 * CELLS]
+        squares = np.full((40 * CELLS, 2), np.nan)
+        squares[first] = [oracle.square_of(direction) * 8 for direction in sequence.rays[1][: len(first)]]
+        np.testing.assert_array_equal(np.minimum(squares[first].astype(int), 7) @ [1, 8], first % CELLS)
         points.append(squares % 1.0)
-    counts, _, _ = np.histogram2d(*np.reshape(points, (-1, 2)).T, bins=4, range=((0, 1), (0, 1)))
+    every = np.reshape(points, (-1, 2))
+    every = every[np.isfinite(every).all(axis=1)]
+    assert len(every) > 40 * CELLS
+    counts, _, _ = np.histogram2d(*every.T, bins=4, range=((0, 1), (0, 1)))
     np.testing.assert_allclose(counts / counts.sum(), 1.0 / 16.0, atol=0.01)
-    assert np.abs(points[0] - points[1]).min() < 1.0
-    assert np.abs(points[0] - points[1]).mean() > 0.2
+    assert np.nanmean(np.abs(points[0] - points[1])) > 0.2
 
 
 def test_screen_probe_rays_start_above_their_surface() -> None:
-    """Rays of meshes leave outwards; rays of Gaussians leave in all directions, above the layer and its offset."""
-    for extent, share in ((0.0, 0.5), (0.004, 1.0)):
+    """Rays leave outwards; those of Gaussians start above the layer and pass the Gaussians within the offset."""
+    for extent in (0.0, 0.004):
         sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0])), visible_box(box_camera(), extent)
         sequence.place(surfaces)
         rays = sequence.probes.rays()
         active = device_array(rays.is_active).numpy()
-        assert active.mean() == pytest.approx(share, abs=0.03)
+        assert active.mean() == pytest.approx(0.5, abs=0.03)
         heights = 0.5 - np.abs(device_array(rays.origin).numpy()[active]).max(axis=1)
         assert (heights > 1e-6).all()
         if extent > 0.0:
@@ -185,7 +189,7 @@ def test_screen_probes_are_refreshed_in_turn_new_ones_first_then_the_oldest() ->
     rounds = np.zeros((6, 10), np.int32)
     for frame in range(12):
         sequence.render(surfaces)
-        assert len(sequence.rays[0]) == 15 * CELLS
+        assert len(sequence.rays[0]) == pytest.approx(15 * CELLS / 2, rel=0.1), "half of the cells face the surface"
         rounds = device_array(sequence.probes.probes.refresh_count).numpy().reshape(6, 10)
         assert rounds.sum() == 15 * (frame + 1)
         if frame == 0:
@@ -211,12 +215,13 @@ def test_mean_light_in_directional_cells_of_screen_probes_matches_the_reference(
         sequence.trace()
         sequence.frame += 1
         cells = one(cells_of(sequence), 7)
+        faced = cells.direction @ fields(sequence.probes.probes)["normal"][7] > 0.3
         if np.isfinite(value):
             mean += (value - mean) / (mean_weight(count, history) + 1.0)
             count = min(count + 1, history)
-        np.testing.assert_allclose(cells.nearness, 2.0, rtol=1e-5)
-        np.testing.assert_allclose(cells.radiance, mean, rtol=1e-5)
-        np.testing.assert_array_equal(cells.samples, count)
+        np.testing.assert_allclose(cells.nearness[faced], 2.0, rtol=1e-5)
+        np.testing.assert_allclose(cells.radiance[faced], mean, rtol=1e-5)
+        np.testing.assert_array_equal(cells.samples[faced], count)
 
 
 def test_outdated_light_of_a_screen_probe_cell_stays_until_its_next_ray_replaces_it() -> None:
@@ -286,7 +291,8 @@ def test_screen_probe_filter_averages_probes_that_see_distant_hits_but_not_near_
     for distance in (0.01, 1e6):
         sequence = ProbeSequence(noise(distance), refreshed=1.0, adaptive=0.0)
         sequence.render(surfaces)
-        spread[distance] = np.std(device_array(sequence.probes.light.radiance).numpy())
+        traced = cells_of(sequence).samples > 0.0
+        spread[distance] = np.std(device_array(sequence.probes.light.radiance).numpy()[traced])
     assert spread[1e6] < 0.75, "each cell averages up to five probes"
     assert spread[0.01] > 0.9, "near hits share nothing"
 
@@ -335,7 +341,7 @@ def test_irradiance_that_pixels_interpolate_from_screen_probes_matches_the_refer
 
 
 def test_glossy_light_from_screen_probes_is_interpolated_between_directional_cells() -> None:
-    """Look-ups are linear between cells, also across the border of the map: a slow gradient is reproduced."""
+    """Above the surface, look-ups are linear between cells, also across the border of the map."""
     surfaces = visible_box(box_camera(), 0.002)
 
     def gradient(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
@@ -344,9 +350,13 @@ def test_glossy_light_from_screen_probes_is_interpolated_between_directional_cel
     sequence = ProbeSequence(gradient, refreshed=1.0, history=256)
     for _ in range(24):
         sequence.render(surfaces)
-    pixels = np.full(400, 50 * 160 + 75)
-    directions = oracle.spiral(400)
-    found = looked_up(sequence, surfaces, pixels, np.full((400, 2), (75.5, 50.5)), directions, glossy=True)
+    pixel = 50 * 160 + 75
+    directions = oracle.spiral(800)
+    directions = directions[directions @ surfaces.normal[pixel] > 0.3]
+    count = len(directions)
+    found = looked_up(
+        sequence, surfaces, np.full(count, pixel), np.full((count, 2), (75.5, 50.5)), directions, glossy=True
+    )
     assert np.sqrt(np.mean((found - 2.0 - directions) ** 2)) < 0.06
     assert np.abs(found - 2.0 - directions).max() < 0.25
 

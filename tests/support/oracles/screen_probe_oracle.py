@@ -50,8 +50,8 @@ class Cells:
     samples: Doubles
 
 
-def carried(cells: Cells, old: Doubles, new: Doubles, horizon: Doubles | None, history: float) -> Cells:
-    """Reprojects the cells of a probe from position ``old`` to ``new``; ``horizon`` is the normal of a mesh."""
+def carried(cells: Cells, old: Doubles, new: Doubles, normal: Doubles, history: float) -> Cells:
+    """Reprojects the cells of a probe from position ``old`` to ``new``, on a surface of this normal."""
     count = len(cells.samples)
     side = int(np.sqrt(count))
     moved = Cells(cells.direction, np.zeros((count, 3)), np.zeros(count), np.zeros(count))
@@ -62,7 +62,7 @@ def carried(cells: Cells, old: Doubles, new: Doubles, horizon: Doubles | None, h
                 to_hit = old + direction / nearness - new
                 direction, nearness = to_hit / np.linalg.norm(to_hit), 1.0 / np.linalg.norm(to_hit)
             target = cell_of(direction, side)
-        if horizon is not None and direction @ horizon < -np.sqrt(4.0 * np.pi / count):
+        if direction @ normal < -np.sqrt(4.0 * np.pi / count):
             continue
         moved.radiance[target] += cells.samples[cell] * cells.radiance[cell]
         moved.nearness[target] += cells.samples[cell] * nearness
@@ -156,7 +156,7 @@ def near_mean(
     for apart, probe in probes:
         tolerance = max(extent, probe.extent)
         is_near = abs(normal @ (probe.position - position)) < max(reach, tolerance)
-        if is_near and normal @ probe.normal > (0.5 if tolerance > 0.0 else 0.95):
+        if is_near and normal @ probe.normal > (0.8 if tolerance > 0.0 else 0.95):
             depth = 1.0 - abs(distance - probe.distance) / max(distance, probe.distance)
             probe_weight = (depth * (normal @ probe.normal)) ** 8 / (apart**2 + 0.05)
             total, weight = total + probe_weight * probe.value, weight + probe_weight

@@ -126,7 +126,7 @@ class Match:
 SEARCH_ROWS = wp.constant(8)
 """The pixel for a probe is searched on a lattice of the tile's pixels with this number of rows and columns."""
 
-COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
+COSINE_MIN_SPLATS = wp.constant(wp.float32(0.8))
 """Smallest cosine between the normals of a pixel and a probe on the same Gaussians; such normals are noisy."""
 
 COSINE_MIN_MESHES = wp.constant(wp.float32(0.95))

@@ -280,7 +280,7 @@ def refresh_key(i: int, grid: ProbeGrid, probes: ProbeData) -> int:
 def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeData, rays_out: RayData):
     """Writes ray ``ray`` of probe ``i`` in a random direction within cell ``cell`` of its map.
 
-    A ray that would enter the mesh that the probe lies on stays inactive.
+    A ray that would enter the surface that the probe lies on stays inactive.
     """
     seed = wp.bit_xor(grid.seed, PROBE_SEED)
     number = i * grid.cells * grid.cells + cell
@@ -290,9 +290,9 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
     normal = probes.normal[i]
     position = probes.position[i]
     extent = probes.extent[i]
+    if wp.dot(direction, normal) <= 0.0:
+        return
     if extent == 0.0:
-        if wp.dot(direction, normal) <= 0.0:
-            return
         position += RISE * wp.max(wp.max(wp.abs(position)), probes.distance[i]) * normal
     rays_out.is_active[ray] = True
     rays_out.origin[ray] = above_layer(position, normal, grid.offset * extent)

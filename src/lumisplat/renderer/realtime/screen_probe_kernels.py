@@ -223,8 +223,8 @@ def carry_cells(
                     nearness /= stretch
                     direction = moved / stretch
                     to_cell = i * count + cell_of_direction(direction, side)
-            # Cells below the horizon of a mesh get no rays and would never be renewed.
-            if probes.extent[i] == 0.0 and wp.dot(direction, probes.normal[i]) < -cell_width(side):
+            # Cells below the horizon get no rays and would never be renewed.
+            if wp.dot(direction, probes.normal[i]) < -cell_width(side):
                 samples = 0.0
             cells_out.radiance[to_cell] = cells_out.radiance[to_cell] + samples * cells_before.radiance[from_cell]
             cells_out.nearness[to_cell] = cells_out.nearness[to_cell] + samples * nearness
@@ -292,13 +292,16 @@ def add_samples(
     if cell == 0 and probes_out.is_placed[i] != 0:
         probes_out.refresh_count[i] = probes_out.refresh_count[i] + 1
         probes_out.refreshed[i] = grids[0].frame
+    k = i * count + cell
+    samples = cells_out.samples[k]
     if not rays.is_active[ray]:
+        # At the horizon, light from before a change would stay until a ray happens to start above the surface.
+        if samples < 1.0:
+            cells_out.samples[k] = 0.0
         return
     color = radiance[ray]
     if not (wp.isfinite(color[0]) and wp.isfinite(color[1]) and wp.isfinite(color[2])):
         return
-    k = i * count + cell
-    samples = cells_out.samples[k]
     share = 1.0 / (mean_weight(samples, grids[0].history) + 1.0)
     cells_out.radiance[k] = cells_out.radiance[k] + share * (color - cells_out.radiance[k])
     nearness = 1.0 / wp.max(hit_distance[ray], 1e-20)

@@ -101,7 +101,7 @@ class ScreenProbes:
         self._launcher.run_banded(kernels.outdate_cells, self.count * self._cell_count, sequence, self.cells)
 
     def rays(self) -> RayData:
-        """Returns one ray for each cell (direction) of the probes to update; rays into a probe's mesh are inactive.
+        """Returns one ray for each cell (direction) of the probes to update; rays into a probe's surface are inactive.
 
         Probes that were never updated come first, then those whose last update is longest ago. ``refreshed`` of the
         settings fixes the number of probes to update.
