@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import LUMINANCE
 from lumisplat.renderer.scene.camera_table import subpixel
 from support.oracles.light_filter_oracle import Filter, luminance
-from support.scenes.filter_sequence import FilterSequence, Mask
+from support.scenes.filter_sequence import LOBE_WIDTHS, FilterSequence, Mask
 from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, tilted, visible_box, visible_plane
 
 SIZE: Any = {"width": 48, "height": 32}
@@ -312,6 +313,24 @@ def test_light_denoiser_drops_histories_without_a_valid_reprojection() -> None:
         np.testing.assert_array_equal(sequence.ages(), 1.0)
 
 
+@pytest.mark.parametrize(("reach", "glossy"), [(0, 0), (2, 3), (8, 15)])
+def test_light_denoiser_averages_glossy_light_only_within_its_highlight(reach: int, glossy: int) -> None:
+    """A plane is red on the left and green on the right, both as bright. Four passes of 1 to 8 pixels blur the edge.
+
+    From pixel to pixel, the half vector turns by half the angle between them. A pass with longer steps than the
+    highlight is wide changes nothing in glossy light, but diffuse light reaches 15 pixels.
+    """
+    per_pixel = 0.5 / plane_camera().fx
+    surfaces = replace(plane(), alpha=(reach + 0.5) * per_pixel / (3.0 * LOBE_WIDTHS))
+    left = (np.arange(COUNT) % 48 < 24)[:, None]
+    colors = np.where(left, (1.0 / LUMINANCE[0], 0.0, 0.0), (0.0, 1.0 / LUMINANCE[1], 0.0))
+    sequence = FilterSequence(radius=1, passes=4)
+    lights = [noise(frame)[:, :1] * colors for frame in range(8)]
+    found = [sequence.render(surfaces, light, light) for light in lights][-1]
+    is_red = found[16 * 48 + 24 : 17 * 48, :, 0] > 0.0
+    np.testing.assert_array_equal(is_red.sum(axis=0), (15, glossy))
+
+
 def test_light_denoiser_gives_pixels_without_a_surface_no_light() -> None:
     """Pixels without a surface give no light to other pixels, either."""
     surfaces = plane()
@@ -376,6 +395,7 @@ def test_light_denoiser_matches_the_float64_reference(radius: int, passes: int, 
             surfaces = moving(0)[0]
         if moves == "samples":
             surfaces = visible_box(box_camera(0.0), offset=subpixel(step))
+        surfaces = replace(surfaces, alpha=0.02)  # stops glossy light after some pixels
         found = sequence.render(surfaces, diffuse, glossy, sampled)
         truth = reference.render(surfaces, diffuse, glossy, sampled, sequence.history_weight)
         np.testing.assert_allclose(sequence.ages(), reference.history.frames, rtol=2e-5)

@@ -21,6 +21,7 @@ from lumisplat.renderer.realtime.light_filter_kernels import (
     YOUNG_FRAMES,
 )
 from lumisplat.renderer.scene.camera_table import CENTER
+from support.scenes.filter_sequence import LOBE_WIDTHS
 from support.scenes.gi_surfaces import Doubles, VisibleSurfaces
 
 Mask = npt.NDArray[np.bool_]
@@ -207,6 +208,21 @@ def falloff(x: Doubles | float) -> Doubles:
     return np.maximum(1.0 - np.square(x) / 9.0, 0.0) ** 3
 
 
+def half_turns(surfaces: VisibleSurfaces, taps: Whole) -> Doubles:
+    """Returns how far each neighbour's normal turns from the half vector of a light at infinity, (pixels, 3).
+
+    The light is where the pixel itself mirrors the eye. To first order, the half vector turns along the surface, by the
+    change of the view over twice its cosine.
+    """
+    distance = np.where(surfaces.share > 0.0, surfaces.distance, 1.0)[:, None]
+    view = (surfaces.camera.eye - surfaces.position) / distance
+    cosine = np.maximum((view * surfaces.normal).sum(axis=1, keepdims=True), 1e-3)
+    offset = surfaces.position[taps] - surfaces.position
+    change = -(offset - (offset * view).sum(axis=1, keepdims=True) * view) / distance
+    change -= (change * surfaces.normal).sum(axis=1, keepdims=True) * surfaces.normal
+    return surfaces.normal[taps] - surfaces.normal - change / (2.0 * cosine)
+
+
 def smoothed(
     surfaces: VisibleSurfaces, frames: Doubles, light: Doubles, variance: Doubles, radius: int, step: int
 ) -> tuple[Doubles, Doubles]:
@@ -216,6 +232,7 @@ def smoothed(
     shown = surfaces.share > 0.0
     per_distance = 1.0 / np.where(shown, tolerance(surfaces, surfaces.distance), 1.0)
     power = np.where(surfaces.extent > 0.0, 8, 64)
+    alpha2 = np.where(frames > 0.0, surfaces.alpha**2 + surfaces.footprint, np.inf)
     weights, sums, squares = own.copy(), own[..., None] * light, own * variance
     for row, column, taps, inside in neighbours(surfaces, radius, step):
         if row == column == 0:
@@ -228,6 +245,8 @@ def smoothed(
         weight *= falloff(1.5 * (row * row + column * column) / (radius * radius + 1))
         chance = LUMINANCE_SIGMAS * np.sqrt(np.sqrt(variance * variance[taps])) + 1e-8
         of_each = weight[:, None] * falloff(own * (bright[taps] - bright) / chance)
+        turned2 = np.where(counts, np.square(half_turns(surfaces, taps)).sum(axis=1), 0.0)
+        of_each[:, 1] *= falloff(np.sqrt(turned2 / alpha2) / LOBE_WIDTHS)
         weights += of_each
         sums += of_each[..., None] * light[taps]
         squares += of_each * of_each * variance[taps]

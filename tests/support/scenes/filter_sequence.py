@@ -18,6 +18,9 @@ from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
 from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows, sequence_row
 
+LOBE_WIDTHS = 1.5
+"""Width of the averages of glossy light, in widths of the highlight."""
+
 Mask = npt.NDArray[np.bool_]
 
 
@@ -34,7 +37,8 @@ class FilterSequence:
     def __init__(self, threads: int = 1, parallel: bool = False, *, shared: int = 1, **settings: int) -> None:
         self._buffers = Buffers("cpu")
         launcher = Launcher("cpu", threads=threads, parallel=parallel)
-        self.filter = LightFilter(launcher, self._buffers, ls.config.FilterConfig(**settings), "light", shared)
+        given = ls.config.FilterConfig(**settings)
+        self.filter = LightFilter(launcher, self._buffers, given, "light", shared=shared, lobe_widths=LOBE_WIDTHS)
         self.frame = 0
         self.history_weight = 1.0
         """Weight of history in the next frames, as in ``Motion``."""

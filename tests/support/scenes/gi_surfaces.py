@@ -33,6 +33,9 @@ class VisibleSurfaces:
     """Index of the scene's face at each pixel; -1 for none."""
     offset: tuple[float, float] = CENTER
     """Position of the samples within their pixels."""
+    alpha: float = 1.0
+    """GGX alpha of all highlights."""
+    footprint: float = 0.0
 
     def upload(self, device: str = "cpu") -> SurfacePixels:
         """Returns the struct that kernels read."""
@@ -42,6 +45,9 @@ class VisibleSurfaces:
             setattr(pixels, name, wp.array(getattr(self, name).astype(np.float32), dtype=float, device=device))
         for name in ("position", "normal", "previous"):
             setattr(pixels, name, wp.array(getattr(self, name).astype(np.float32), dtype=wp.vec3, device=device))
+        pixels.alpha, pixels.footprint = (
+            wp.full(len(albedo), value, float, device=device) for value in (self.alpha, self.footprint)
+        )
         pixels.albedo = wp.array(albedo.astype(np.float32), dtype=wp.vec3, device=device)
         return pixels
 

@@ -35,6 +35,14 @@ SAME_NORMAL_SPLATS = 0.5
 
 The bound is low, because these normals are noisy."""
 
+FOOTPRINT_PX2 = 1.0 / 12.0
+"""Variance, along each axis, of the window of a pixel within which normals widen highlights, square pixels.
+
+With the jitter of antialiasing, 1/12, the window has the width of a pixel between half maxima."""
+
+FOOTPRINT_ALPHA2_MAX = 0.18
+"""Largest squared GGX alpha by which the normals of a pixel widen highlights (Tokuyoshi and Kaplanyan 2019)."""
+
 YOUNG_SHARE = 0.5
 """When a sample is added to a mean of few samples, the mean counts as only this fraction of its number of samples.
 
@@ -63,6 +71,8 @@ class SurfacePixels:
     viewer."""
     alpha: wp.array[float]
     """GGX alpha of the highlight, roughness squared; 0: a mirror."""
+    footprint: wp.array[float]
+    """Squared GGX alpha by which the normals within the pixel widen its highlights (`footprint_alpha2`)."""
     previous: wp.array[wp.vec3]
     """World-space position of the same surface point in the previous frame; NaN: it did not exist."""
 
@@ -371,6 +381,68 @@ def is_near(
     offset = other_position - position
     across = wp.max(wp.abs(wp.dot(offset, normal)), wp.abs(wp.dot(offset, other_normal)))
     return across <= tolerated
+
+
+# --- Highlights within a pixel and beside it (docs/method/realtime.md#highlights-of-lights) ---
+
+FOOTPRINT = wp.constant(wp.float32(FOOTPRINT_PX2))
+
+FOOTPRINT_MAX = wp.constant(wp.float32(FOOTPRINT_ALPHA2_MAX))
+
+
+@wp.func
+def turn_per_offset(normal: wp.vec3, view: wp.vec3, distance: float) -> float:
+    """Returns the turn of a distant light's half vector, radians per scene unit along a surface at this distance.
+
+    ``view`` is the unit direction to the eye.
+    """
+    return 0.5 / (distance * wp.max(wp.dot(normal, view), 1e-3))
+
+
+@wp.func
+def half_turn(offset: wp.vec3, normal: wp.vec3, other: wp.vec3, view: wp.vec3, per_offset: float) -> wp.vec3:
+    """Returns how far the normal turns away from the half vector of a distant light between two points, radians.
+
+    At the first point, with unit ``normal`` and the unit direction ``view`` to the eye, the half vector of the light is
+    the normal. The second, at ``offset``, has the normal ``other``. ``per_offset`` is that of ``turn_per_offset``.
+    """
+    across = offset - wp.dot(offset, view) * view
+    return other - normal + per_offset * (across - wp.dot(across, normal) * normal)
+
+
+@wp.func
+def footprint_of(
+    pixel: int, size: wp.vec2i, step: wp.vec2i, view: wp.vec3, surfaces: SurfacePixels, camera: wp.array[CameraData]
+) -> float:
+    """Returns the squared turn from a pixel to its neighbours by ``step`` and by ``-step``: the mean; 0 without any."""
+    position = surfaces.position[pixel]
+    normal = surfaces.normal[pixel]
+    distance = surfaces.distance[pixel]
+    extent = surfaces.extent[pixel]
+    tolerated = tolerance(distance, extent, camera)
+    total = float(0.0)
+    count = float(0.0)
+    for side in range(2):
+        x = pixel % size[0] + (2 * side - 1) * step[0]
+        y = pixel // size[0] + (2 * side - 1) * step[1]
+        if x >= 0 and x < size[0] and y >= 0 and y < size[1]:
+            other = y * size[0] + x
+            if is_same_surface(position, normal, tolerated, least_cosine(extent), other, surfaces):
+                offset = surfaces.position[other] - position
+                per_offset = turn_per_offset(normal, view, distance)
+                turned = half_turn(offset, normal, surfaces.normal[other], view, per_offset)
+                total += wp.dot(turned, turned)
+                count += 1.0
+    return total / wp.max(count, 1.0)
+
+
+@wp.func
+def footprint_alpha2(pixel: int, size: wp.vec2i, surfaces: SurfacePixels, camera: wp.array[CameraData]) -> float:
+    """Returns the squared GGX alpha of the normals within a pixel, relative to the half vector of a distant light."""
+    view = (camera[0].eye - surfaces.position[pixel]) / surfaces.distance[pixel]
+    across = footprint_of(pixel, size, wp.vec2i(1, 0), view, surfaces, camera)
+    down = footprint_of(pixel, size, wp.vec2i(0, 1), view, surfaces, camera)
+    return wp.min(FOOTPRINT * (across + down), FOOTPRINT_MAX)
 
 
 @wp.func

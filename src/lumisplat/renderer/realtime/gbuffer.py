@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import warp as wp
+
 from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.renderer.realtime import gbuffer_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -63,6 +65,8 @@ class GBuffer:
         else:
             inputs = scene.camera, scene.shading, motion.meshes, wave.data, now
             run(kernels.store_mesh_surfaces, wave.count, *inputs)
+        width, height = scene.image_size
+        run(kernels.measure_footprints, width * height, wp.vec2i(width, height), scene.camera, now)
         return PixelSurfaces(kind, now, before)
 
     def _pixels(self, scene: DeviceScene, kind: int, frame: int) -> SurfacePixels:

@@ -10,6 +10,7 @@ from lumisplat.device.gi.surfaces import (
     InstanceMotion,
     SurfacePixels,
     diffuse_albedo,
+    footprint_alpha2,
     glossy_albedo,
     highlight_width,
     mesh_before,
@@ -91,3 +92,11 @@ def store_mesh_surfaces(
     surfaces_out.previous[pixel] = mesh_before(
         wave[0].interactions.position[j], hit.instance[i], hit.face[i], hit.weights[i], scene[0].meshes, motions
     )
+
+
+@wp.kernel
+def measure_footprints(start: int, size: wp.vec2i, camera: wp.array[CameraData], surfaces_inout: SurfacePixels):
+    """Per pixel: writes how far the normals of its surface widen highlights, from those of its neighbours."""
+    pixel = start + wp.tid()
+    if surfaces_inout.share[pixel] > 0.0:
+        surfaces_inout.footprint[pixel] = footprint_alpha2(pixel, size, surfaces_inout, camera)

@@ -23,11 +23,21 @@ class LightFilter:
         config: Settings.
         name: Name of the buffers that hold the means over earlier frames.
         shared: Number of pixels that share each light sample, and therefore its noise.
+        lobe_widths: Width of the averages of glossy light, in widths of the highlight.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, name: str, shared: int) -> None:
+    def __init__(
+        self,
+        launcher: Launcher,
+        buffers: Buffers,
+        config: FilterConfig,
+        name: str,
+        *,
+        shared: int,
+        lobe_widths: float,
+    ) -> None:
         self._launcher, self._buffers, self._config, self._name = launcher, buffers, config, name
-        self._shared = float(shared)
+        self._shared, self._lobe_widths = float(shared), lobe_widths
         self.has_history = False
         """True if an earlier frame of the sequence has light."""
 
@@ -74,8 +84,8 @@ class LightFilter:
             is_last = number == self._config.passes - 1
             name = f"{self._name}.filtered" if is_last else f"filter.pass{number % 2}"
             filtered = self._buffers.struct(name, FilteredLight, len(history.frames))
-            inputs = self._config.radius, 2**number, surfaces.now, scene.camera, history.frames, light, filtered
-            self._run(scene, kernels.filter_pass, *inputs)
+            inputs = self._config.radius, 2**number, self._lobe_widths, surfaces.now, scene.camera
+            self._run(scene, kernels.filter_pass, *inputs, history.frames, light, filtered)
             light = filtered
         return light
 

@@ -12,13 +12,16 @@ from lumisplat.device.gi.surfaces import (
     SequenceData,
     SurfaceLight,
     SurfacePixels,
+    half_turn,
     is_near,
     is_same_surface,
     least_cosine,
     pixel_before,
     snapped,
     tolerance,
+    turn_per_offset,
 )
+from lumisplat.device.material.microfacets import ALPHA_GGX_MIN
 from lumisplat.device.math.color import luminance
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
@@ -423,6 +426,16 @@ def falloff(x: float) -> float:
 
 
 @wp.func
+def lobe_weight(turned: wp.vec3, per_turn2: float) -> float:
+    """Returns a neighbour's weight in glossy light: a falloff of how far its normal has turned from the half vector.
+
+    ``turned`` is the result of ``half_turn``, and ``per_turn2`` 1 over the square of the turn that counts as 1.
+    """
+    rest = wp.max(1.0 - per_turn2 / 9.0 * wp.dot(turned, turned), 0.0)
+    return rest * rest * rest
+
+
+@wp.func
 def luminance_weight(difference: float, variance: float, other: float) -> float:
     """Returns a neighbour's weight by luminance difference, relative to the geometric mean of two standard deviations.
 
@@ -457,6 +470,7 @@ def filter_pass(
     size: wp.vec2i,
     radius: int,
     step: int,
+    lobe_widths: float,
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
     frames: wp.array[float],
@@ -470,6 +484,7 @@ def filter_pass(
         size: Width and height of the images.
         radius: Number of neighbours to each side, 1 or 2.
         step: Distance between neighbours, pixels.
+        lobe_widths: Width of the weights by the turn of the normal in glossy light, in GGX alphas of the highlight.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         frames: Number of frames in each pixel's mean; a pixel with 0 takes the light of its neighbours.
@@ -491,6 +506,11 @@ def filter_pass(
     normal = surfaces.normal[pixel]
     extent = surfaces.extent[pixel]
     per_distance = 1.0 / tolerance(surfaces.distance[pixel], extent, camera)
+    view = (camera[0].eye - position) / surfaces.distance[pixel]
+    per_view = turn_per_offset(normal, view, surfaces.distance[pixel])
+    alpha = wp.max(surfaces.alpha[pixel], ALPHA_GGX_MIN)
+    turn2 = lobe_widths * lobe_widths * (alpha * alpha + surfaces.footprint[pixel])
+    per_turn2 = wp.where(frames[pixel] > 0.0, 1.0 / turn2, 0.0)
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
     # Local names, as in `accumulate`.
     normals = surfaces.normal
@@ -512,8 +532,10 @@ def filter_pass(
             tap = tap_y * size[0] + tap_x
             if tap_x < 0 or tap_x >= size[0] or tap == pixel or frames[tap] <= 0.0:
                 continue
-            weight = normal_weight(wp.dot(normal, normals[tap]), extent)
-            weight *= falloff(per_distance * wp.dot(positions[tap] - position, normal))
+            tap_normal = normals[tap]
+            offset = positions[tap] - position
+            weight = normal_weight(wp.dot(normal, tap_normal), extent)
+            weight *= falloff(per_distance * wp.dot(offset, normal))
             if weight <= WEIGHT_MIN:
                 continue
             weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
@@ -525,6 +547,8 @@ def filter_pass(
             tap_glossy = of_glossies[tap]
             difference = self_weight * (luminance(tap_glossy) - bright[1])
             of_glossy = weight * luminance_weight(difference, variance[1], tap_variance[1])
+            turned = half_turn(offset, normal, tap_normal, view, per_view)
+            of_glossy *= lobe_weight(turned, per_turn2)
             glossy += of_glossy * tap_glossy
             weights += wp.vec2(of_diffuse, of_glossy)
             squares += wp.vec2(of_diffuse * of_diffuse * tap_variance[0], of_glossy * of_glossy * tap_variance[1])

@@ -35,6 +35,13 @@ INDIRECT_SHARED = 4
 """Number of pixels that share a sample of indirect light, and therefore its noise: 2 x 2 pixels share a highlight ray.
 """
 
+DIRECT_LOBE_WIDTHS = 0.6
+"""Width, in GGX alphas, of the spatial averages of direct light in highlights. From 1 on they spread the highlights of
+lamps visibly."""
+
+INDIRECT_LOBE_WIDTHS = 2.0
+"""Width, in GGX alphas, of the spatial averages of what highlights reflect: wider, because its rays are noisier."""
+
 
 @dataclass(frozen=True, slots=True)
 class LitSurfaces:
@@ -76,10 +83,13 @@ class RealtimeIntegrator:
         self._debug_layers = DebugLayers(launcher, buffers)
         self._bounces = config.max_bounces != 0
         of_indirect = replace(settings, frames=min(settings.frames, settings.indirect_frames))
-        lights = {"direct": (settings, 1), "indirect": (of_indirect, INDIRECT_SHARED)}
+        lights = {
+            "direct": (settings, 1, DIRECT_LOBE_WIDTHS),
+            "indirect": (of_indirect, INDIRECT_SHARED, INDIRECT_LOBE_WIDTHS),
+        }
         self._filters = {
-            (name, kind): LightFilter(launcher, buffers, given, f"{name}{kind}", shared)
-            for name, (given, shared) in lights.items()
+            (name, kind): LightFilter(launcher, buffers, given, f"{name}{kind}", shared=shared, lobe_widths=width)
+            for name, (given, shared, width) in lights.items()
             for kind in (SPLATS, MESHES)
         }
         self._size: tuple[int, int] | None = None
