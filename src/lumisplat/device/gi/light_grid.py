@@ -9,6 +9,7 @@ from lumisplat.constants import GRID_LIGHTS, LIGHT_POWER_MAX
 from lumisplat.device.gi.radiance_cache import exponent_of, width_of
 from lumisplat.device.light.direct_light import (
     CHOICE_BRANCH,
+    choice_count,
     chosen_light,
     light_importance,
     sample_choice,
@@ -16,6 +17,7 @@ from lumisplat.device.light.direct_light import (
     vertex_without_importance,
 )
 from lumisplat.device.light.light import LIGHT_ENVIRONMENT, light_bound
+from lumisplat.device.light.lobe_lights import lobe_at, lobe_importance
 from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import BITS_8, branch_key, mix, sobol_2d
 from lumisplat.device.path.steps import Branch, branch_of
@@ -214,6 +216,7 @@ def grid_light(
     if cell < 0:
         return choice
     vertex = vertex_without_importance(interaction)
+    lobe = lobe_at(interaction)
     numbers = grid.numbers
     chances = grid.chances
     importance = grid_values()
@@ -221,7 +224,10 @@ def grid_light(
     for slot in range(SLOTS):
         chance = chances[cell * SLOTS + slot]
         if chance > 0.0:
-            importance[slot] = light_importance(numbers[cell * SLOTS + slot], vertex.position, vertex.normal, scene)
+            number = numbers[cell * SLOTS + slot]
+            importance[slot] = light_importance(number, vertex.position, vertex.normal, scene)
+            if lobe.mirrored > 0.0:
+                importance[slot] = lobe_importance(number, importance[slot], interaction, lobe, scene)
             total += importance[slot] / chance
     if not (total > 0.0 and total < wp.inf):
         return choice
@@ -231,6 +237,34 @@ def grid_light(
             choice.number = numbers[cell * SLOTS + slot]
             choice.probability = importance[slot] / total
             rest -= importance[slot] / chances[cell * SLOTS + slot]
+    return choice
+
+
+@wp.func
+def light_of_all(u: float, interaction: Interaction, scene: wp.array[ShadingScene]) -> LightChoice:
+    """Chooses one of all lights in proportion to its importance at the interaction; ``u`` is random, 0..1."""
+    lobe = lobe_at(interaction)
+    if lobe.mirrored <= 0.0:
+        return chosen_light(u, vertex_at(interaction, scene), scene)
+    vertex = vertex_without_importance(interaction)
+    choice = LightChoice()
+    choice.number = -1
+    total = float(0.0)
+    rest = u
+    for number in range(choice_count(scene)):
+        importance = light_importance(number, vertex.position, vertex.normal, scene)
+        importance = lobe_importance(number, importance, interaction, lobe, scene)
+        if importance > 0.0 and importance < wp.inf:
+            total += importance
+            chance = importance / total
+            if rest < chance:
+                choice.number = number
+                choice.probability = importance
+                rest = rest / chance
+            else:
+                rest = (rest - chance) / (1.0 - chance)
+    if total > 0.0:
+        choice.probability /= total
     return choice
 
 
@@ -266,7 +300,7 @@ def sample_light_of(
         cell = grid.cell_of[i]
     choice = LightChoice()
     if cell == ALL_LIGHTS:
-        choice = chosen_light(u[0], vertex_at(interaction, scene), scene)
+        choice = light_of_all(u[0], interaction, scene)
     else:
         choice = grid_light(u[0], cell, interaction, grid, scene)
     if choice.number < 0:

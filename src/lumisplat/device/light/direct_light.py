@@ -20,7 +20,9 @@ from lumisplat.device.light.emitters import (
     sample_emitter,
     sample_environment,
 )
+from lumisplat.device.light.glossy_lobe import highlight_of
 from lumisplat.device.light.light import LIGHT_ENVIRONMENT, sample_light
+from lumisplat.device.light.lobe_lights import crossing_of, lobe_chance
 from lumisplat.device.light.shadow_rays import start_shadow_ray
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample, view_albedo
 from lumisplat.device.material.microfacets import transmits
@@ -477,6 +479,42 @@ def sample_chosen_environment(
 
 
 @wp.func
+def sample_light_or_lobe(
+    choice: LightChoice, interaction: Interaction, u: wp.vec2, which: float, scene: wp.array[ShadingScene]
+) -> Contribution:
+    """Samples the selected light, not the environment; the contribution is divided by the selection probability.
+
+    ``u[0]`` selects whether the light or the highlight samples the direction, with the probability of ``lobe_chance``;
+    the balance heuristic (Veach and Guibas 1995) for one sample weights both. ``u`` and ``which`` are random, 0..1.
+    """
+    chance = lobe_chance(choice.number, interaction, scene)
+    if chance <= 0.0:
+        return sample_chosen(choice, interaction, u, which, False, scene).contribution
+    lobe = highlight_of(interaction.bsdf)
+    sample = LightSample()
+    if u[0] < chance:
+        sampled = bsdf_sample(lobe, interaction.normal, interaction.wo, wp.vec2(u[0] / chance, u[1]), which)
+        if sampled.pdf <= 0.0:
+            return Contribution()
+        crossing = crossing_of(choice.number, interaction.position, sampled.direction, scene)
+        if crossing.pdf <= 0.0:
+            return Contribution()
+        sample.direction = sampled.direction
+        sample.distance = crossing.t
+        both = (1.0 - chance) * crossing.pdf + chance * sampled.pdf
+        sample.irradiance = crossing.radiance / both
+    else:
+        remapped = wp.vec2((u[0] - chance) / (1.0 - chance), u[1])
+        sample = sample_of_choice(choice, interaction.position, remapped, which, scene)
+        pdf = bsdf_pdf(lobe, interaction.normal, interaction.wo, sample.direction)
+        both = (1.0 - chance) * sample.pdf + chance * pdf
+        if both <= 0.0:
+            return Contribution()
+        sample.irradiance = (sample.pdf / both) * sample.irradiance
+    return contribution_of(interaction, sample, 1.0 / choice.probability)
+
+
+@wp.func
 def start_chosen_ray(
     i: int,
     slot: int,
@@ -518,7 +556,7 @@ def sample_choice(
     if is_environment(choice.number, scene):
         contribution = sample_chosen_environment(choice, interaction, u, which, scene)
     else:
-        contribution = sample_chosen(choice, interaction, u, which, False, scene).contribution
+        contribution = sample_light_or_lobe(choice, interaction, u, which, scene)
     if is_black(contribution.color) or no_shadows or not casts_shadow(choice.number, scene):
         return contribution
     start_chosen_ray(i, slot, choice.number, contribution, scene, wave, rays)

@@ -242,10 +242,15 @@ def chosen_emitter(which: float, scene: wp.array[ShadingScene]) -> int:
 @wp.func
 def emitted_from(k: int, u: wp.vec2, direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
     """Returns the radiance of emissive triangle ``k`` at the point that ``u`` samples, against ``direction``."""
+    return radiance_of_emitter(k, weights_on_triangle(u), direction, scene)
+
+
+@wp.func
+def radiance_of_emitter(k: int, weights: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
+    """Returns the radiance of emissive triangle ``k`` at barycentric ``weights``, against ``direction``."""
     number = scene[0].emitters.instances[k]
     instance = scene[0].mesh_instances[number]
     corners = scene[0].meshes.indices[instance.face_first + k - scene[0].emitters.first[number]]
-    weights = weights_on_triangle(u)
     coverage = surface_alpha(instance, scene[0].meshes, corners, weights)
     return coverage * emission_at(number, corners, weights, direction, scene)
 

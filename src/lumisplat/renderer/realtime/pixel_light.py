@@ -13,14 +13,14 @@ from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.realtime import captured_emitter_kernels, pixel_light_kernels
-from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
+from lumisplat.renderer.realtime.gbuffer import MESHES, SPLATS, PixelSurfaces
 from lumisplat.renderer.realtime.light_grid import LightGrids
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan, SplatShadows
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 _OF_MESHES = SplatShadows(on_reflecting=False, on_shadow_catchers=False)
@@ -82,7 +82,7 @@ class PixelLights:
         grid = self._grids.of_wave(scene, wave)
         with self._launcher.stage("lights"):
             inputs = not plan.casts_shadows, interval, scene.motion.sequence, grid, scene.camera
-            inputs = *inputs, scene.shading, wave.data, light, rays
+            inputs = *inputs, scene.shading, wave.data, *self._footprints(surfaces), light, rays
             self._run(pixel_light_kernels.sample_lights, count, *inputs)
         visibility = self._visibility(scene, plan, rays)
         self._add_captured(scene, plan, wave, light, rays, visibility=visibility)
@@ -120,6 +120,12 @@ class PixelLights:
         """
         inputs = scene.camera, wave.data, kind.now, light, *layers
         self._launcher.run_banded(pixel_light_kernels.add_surface_light, wave.count, *inputs)
+
+    def _footprints(self, surfaces: list[PixelSurfaces]) -> tuple[DeviceArray, DeviceArray]:
+        """Returns how far the normals within pixels widen highlights, of splat surfaces and of mesh surfaces."""
+        found = {kind.kind: device_array(kind.now.footprint) for kind in surfaces}
+        none = self._buffers.get("pixel_light.no_footprint", wp.float32, 0)
+        return found.get(SPLATS, none), found.get(MESHES, none)
 
     def _visibility(self, scene: DeviceScene, plan: FramePlan, rays: RayData) -> DeviceArray:
         if not plan.casts_shadows:

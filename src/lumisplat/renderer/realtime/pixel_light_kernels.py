@@ -16,7 +16,8 @@ from lumisplat.device.gi.surfaces import (
     is_sampled_in_frame,
 )
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.material.bsdf import diffuse_share
+from lumisplat.device.light.lobe_lights import eval_in_pixel, relevant_footprint, widened
+from lumisplat.device.material.bsdf import bsdf_eval, diffuse_share
 from lumisplat.device.math.color import is_black
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
@@ -29,6 +30,7 @@ filtered."""
 wp.set_module_options(SHADE_OPTIONS)
 
 LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
+LEAST = wp.constant(wp.float32(1e-30))
 
 
 @wp.kernel
@@ -60,6 +62,8 @@ def sample_lights(
     camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
+    footprint_of_splats: wp.array[float],
+    footprint_of_meshes: wp.array[float],
     light_out: PixelLight,
     rays_out: RayData,
 ):
@@ -74,6 +78,8 @@ def sample_lights(
         camera: Camera of the frame.
         scene: The scene.
         wave: The camera rays, after `number_samples`.
+        footprint_of_splats: `SurfacePixels.footprint` of the splat surfaces, if the scene has any.
+        footprint_of_meshes: The same of the mesh surfaces.
         light_out: Unshadowed samples.
         rays_out: Shadow rays.
     """
@@ -91,13 +97,33 @@ def sample_lights(
         return
     interaction = load_interaction(slot * wave[0].rays.is_active.shape[0] + i, wave)
     interaction.weight = 1.0
+    footprint = float(0.0)
+    pixel = pixel_number(i, camera)
+    if pixel >= 0 and slot == 0:
+        footprint = footprint_of_splats[pixel]
+    elif pixel >= 0:
+        footprint = footprint_of_meshes[pixel]
+    footprint = relevant_footprint(footprint, interaction)
+    bsdf = interaction.bsdf
+    interaction.bsdf = widened(bsdf, footprint)
     contribution = sample_light_of(i, slot, interaction, no_shadows, grid, scene, wave, rays_out)
     if is_black(contribution.color):
         return
-    share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, contribution.direction)
-    diffuse = wp.cw_mul(share, contribution.color)
-    light_out.diffuse[i] = diffuse
-    light_out.glossy[i] = contribution.color - diffuse
+    direction = contribution.direction
+    share = diffuse_share(bsdf, interaction.normal, interaction.wo, direction)
+    if footprint <= 0.0:
+        diffuse = wp.cw_mul(share, contribution.color)
+        light_out.diffuse[i] = diffuse
+        light_out.glossy[i] = contribution.color - diffuse
+        return
+    sampled = bsdf_eval(interaction.bsdf, interaction.normal, interaction.wo, direction)
+    at_centre = bsdf_eval(bsdf, interaction.normal, interaction.wo, direction)
+    in_pixel = eval_in_pixel(bsdf, footprint, interaction.normal, interaction.wo, direction)
+    for channel in range(3):
+        irradiance = contribution.color[channel] / wp.max(sampled[channel], LEAST)
+        scattered = share[channel] * at_centre[channel]
+        light_out.diffuse[i][channel] = irradiance * scattered
+        light_out.glossy[i][channel] = irradiance * wp.max(in_pixel[channel] - scattered, 0.0)
 
 
 @wp.kernel
