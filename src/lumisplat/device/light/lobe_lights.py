@@ -60,6 +60,11 @@ LOBE_CHANCE_MIN = 0.05
 LOBE_REST = 0.1
 """Importance of a light outside of a highlight, as a fraction of that for a diffuse surface of the same albedo."""
 
+LOBE_GAIN_MAX = 16.0
+"""Largest importance of a light in a highlight, relative to that for a diffuse surface of the whole albedo.
+
+Without it, other lights would hardly be chosen in highlights, and their diffuse light would be noise."""
+
 EMITTERS_CROSSED = 64
 """Largest number of emissive triangles of a scene that highlights sample; each sample tests all."""
 
@@ -71,6 +76,7 @@ CHANCE_MAX = wp.constant(wp.float32(LOBE_CHANCE_MAX))
 CHANCE_LEAST = wp.constant(wp.float32(LOBE_CHANCE_LEAST))
 CHANCE_MIN = wp.constant(wp.float32(LOBE_CHANCE_MIN))
 REST = wp.constant(wp.float32(LOBE_REST))
+GAIN_MAX = wp.constant(wp.float32(LOBE_GAIN_MAX))
 CROSSED_MAX = wp.constant(EMITTERS_CROSSED)
 COAT = wp.constant(wp.float32(COAT_HEAD_ON))
 TINY = wp.constant(wp.float32(1e-30))
@@ -305,7 +311,9 @@ def lobe_importance(
     if number < scene[0].settings[0].light_count:
         if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
             return importance * (lobe.diffuse + lobe.mirrored)
-    return importance * (lobe.diffuse + lobe.mirrored * (REST + lobe_gain(number, interaction, lobe, scene)))
+    gained = lobe.mirrored * lobe_gain(number, interaction, lobe, scene)
+    gained = wp.min(gained, GAIN_MAX * (lobe.diffuse + lobe.mirrored))
+    return importance * (lobe.diffuse + REST * lobe.mirrored + gained)
 
 
 # --- Samples of the chosen light by the highlight ---
