@@ -14,6 +14,7 @@ from lumisplat.device.gi.surfaces import SAME_NORMAL_MESH, SAME_NORMAL_SPLATS, S
 from lumisplat.renderer.realtime.light_filter_kernels import (
     CHANGE_LEAST,
     CHANGE_SIGMAS,
+    LOBE_FRAMES,
     LUMINANCE_SIGMAS,
     MOMENT_FRAMES,
     SAME_PIXEL_PX,
@@ -246,7 +247,8 @@ def smoothed(
         chance = LUMINANCE_SIGMAS * np.sqrt(np.sqrt(variance * variance[taps])) + 1e-8
         of_each = weight[:, None] * falloff(own * (bright[taps] - bright) / chance)
         turned2 = np.where(counts, np.square(half_turns(surfaces, taps)).sum(axis=1), 0.0)
-        of_each[:, 1] *= falloff(np.sqrt(turned2 / alpha2) / LOBE_WIDTHS)
+        widths = LOBE_WIDTHS * np.maximum(1.0, LOBE_FRAMES / np.maximum(frames, 1.0))
+        of_each[:, 1] *= falloff(np.sqrt(turned2 / alpha2) / widths)
         weights += of_each
         sums += of_each[..., None] * light[taps]
         squares += of_each * of_each * variance[taps]

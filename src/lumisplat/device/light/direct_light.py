@@ -22,7 +22,7 @@ from lumisplat.device.light.emitters import (
 )
 from lumisplat.device.light.glossy_lobe import highlight_of
 from lumisplat.device.light.light import LIGHT_ENVIRONMENT, sample_light
-from lumisplat.device.light.lobe_lights import crossing_of, lobe_chance
+from lumisplat.device.light.lobe_lights import crossing_of, lobe_at, lobe_chance, most_by_lobe
 from lumisplat.device.light.shadow_rays import start_shadow_ray
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample, view_albedo
 from lumisplat.device.material.microfacets import transmits
@@ -468,14 +468,28 @@ def sample_chosen_environment(
 ) -> Contribution:
     """Samples the environment, selected among the lights; the contribution is divided by the selection probability.
 
-    ``u[0] < 0.5`` samples by radiance, else by the BSDF; one sequence thus stratifies both strategies. ``which``
-    selects a lobe. ``u`` and ``which`` are random, 0..1.
+    ``u[0]`` selects whether radiance or the BSDF samples the direction; one sequence thus stratifies both strategies.
+    Metals sample by the BSDF in nine of ten cases, other surfaces in half of them. ``which`` selects a lobe. ``u`` and
+    ``which`` are random, 0..1.
     """
     lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
-    samples_lobe = u[0] >= 0.5
-    remapped = wp.vec2(2.0 * u[0] - wp.where(samples_lobe, 1.0, 0.0), u[1])
-    sample = environment_sample(samples_lobe, lobe, interaction, remapped, which, scene)
-    return contribution_of(interaction, sample, 2.0 / choice.probability)
+    chance = wp.max(most_by_lobe(lobe_at(interaction)), 0.5)
+    environment = scene[0].environment
+    sample = LightSample()
+    if u[0] >= 1.0 - chance:
+        remapped = wp.vec2((u[0] - (1.0 - chance)) / chance, u[1])
+        sampled = bsdf_sample(lobe, interaction.normal, interaction.wo, remapped, which)
+        sample.direction = sampled.direction
+        sample.distance = wp.inf
+        if sampled.pdf > 0.0:
+            both = chance * sampled.pdf + (1.0 - chance) * environment_pdf(environment, sampled.direction)
+            sample.irradiance = environment_radiance(environment, sampled.direction) / both
+    else:
+        sample = sample_environment(environment, wp.vec2(u[0] / (1.0 - chance), u[1]))
+        if sample.pdf > 0.0:
+            pdf = bsdf_pdf(lobe, interaction.normal, interaction.wo, sample.direction)
+            sample.irradiance *= sample.pdf / (chance * pdf + (1.0 - chance) * sample.pdf)
+    return contribution_of(interaction, sample, 1.0 / choice.probability)
 
 
 @wp.func

@@ -384,6 +384,12 @@ def crossing_of(number: int, origin: wp.vec3, direction: wp.vec3, scene: wp.arra
 
 
 @wp.func
+def most_by_lobe(lobe: Lobe) -> float:
+    """Returns the probability with which a highlight samples a light that fills it."""
+    return wp.max(CHANCE_MAX * lobe.mirrored / wp.max(lobe.mirrored + lobe.diffuse, TINY), CHANCE_LEAST)
+
+
+@wp.func
 def lobe_chance(number: int, interaction: Interaction, scene: wp.array[ShadingScene]) -> float:
     """Returns the probability with which the highlight, not light ``number``, samples the direction to the light.
 
@@ -393,7 +399,7 @@ def lobe_chance(number: int, interaction: Interaction, scene: wp.array[ShadingSc
     if lobe.mirrored <= 0.0:
         return 0.0
     radius = angular_radius(number, interaction.position, scene)
-    most = wp.max(CHANCE_MAX * lobe.mirrored / (lobe.mirrored + lobe.diffuse), CHANCE_LEAST)
+    most = most_by_lobe(lobe)
     if number == scene[0].settings[0].light_count:
         if scene[0].emitters.ends.shape[0] > CROSSED_MAX:
             return 0.0

@@ -54,6 +54,9 @@ YOUNG_FRAMES = 3.5
 """Number of frames below which a pixel's variance is estimated from neighbouring pixels. SVGF uses 4; numbers of
 frames are whole up to rounding, so 3.5 is safe."""
 
+LOBE_FRAMES = 8.0
+"""Number of frames below which glossy light is averaged over wider highlights, in inverse proportion."""
+
 WEIGHT_LEAST = 1e-8
 """A neighbour is ignored if its position weight times its normal weight is below this value, so that surfaces at an
 angle give no light to pixels without samples."""
@@ -64,6 +67,7 @@ CHANGED_LEAST = wp.constant(wp.float32(CHANGE_LEAST))
 YOUNG = wp.constant(wp.float32(YOUNG_FRAMES))
 MOMENTS = wp.constant(wp.float32(MOMENT_FRAMES))
 SIGMAS = wp.constant(wp.float32(LUMINANCE_SIGMAS))
+LOBES = wp.constant(wp.float32(LOBE_FRAMES))
 WEIGHT_MIN = wp.constant(wp.float32(WEIGHT_LEAST))
 TINY = wp.constant(wp.float32(1e-8))
 
@@ -509,7 +513,8 @@ def filter_pass(
     view = (camera[0].eye - position) / surfaces.distance[pixel]
     per_view = turn_per_offset(normal, view, surfaces.distance[pixel])
     alpha = wp.max(surfaces.alpha[pixel], ALPHA_GGX_MIN)
-    turn2 = lobe_widths * lobe_widths * (alpha * alpha + surfaces.footprint[pixel])
+    widths = lobe_widths * wp.max(1.0, LOBES / wp.max(frames[pixel], 1.0))
+    turn2 = widths * widths * (alpha * alpha + surfaces.footprint[pixel])
     per_turn2 = wp.where(frames[pixel] > 0.0, 1.0 / turn2, 0.0)
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
     # Local names, as in `accumulate`.
