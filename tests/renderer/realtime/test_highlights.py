@@ -71,7 +71,8 @@ def test_light_beside_the_centre_of_a_highlight_reflects_half_of_it(kind: str, r
         panel = quad((20.0 * side - 20.0, 1.0, -40.0), (40, 0, 0), (0, 0, 80), diffuse(0.5, 1.0))
         lit = ([panel], []) if kind == "mesh" else ([], [rect])
         scene = ls.Scene((), [plate(roughness), *lit[0]], lit[1])
-        truth = paths(scene, DOWN, 256, 1, aovs=("direct_glossy",)).direct_glossy[..., 1].mean()
+        layer = paths(scene, DOWN, 256, 1, aovs=("direct_glossy",)).direct_glossy
+        truth = np.asarray(layer)[..., 1].mean()
         assert truth == pytest.approx(0.5, abs=0.1)
         assert glossy(scene, 64).mean() == pytest.approx(truth, rel=0.03)
 
