@@ -207,3 +207,19 @@ def test_small_relit_gaussian_objects_cover_as_much_as_rays_find(relit: bool) ->
     traced = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=64)
     expected = ls.render(scene, camera, traced, device="cpu").alpha.sum()
     assert (abs(covered / expected - 1.0) < 0.02) == relit, covered / expected
+
+
+def test_still_edges_keep_their_antialiasing_while_something_moves_out_of_sight() -> None:
+    """An edge is as smooth as in a still scene, though an object behind the camera moves and a lamp with it."""
+    mesh, hidden = emissive_square(0.9, 0.6, 0.3, half=0.5, tilt=0.4), emissive_square(0.1, 0.1, 0.1, half=0.1)
+    edge = ls.MeshInstance(mesh, similarity((0.0, 0.0, 1.0), 0.3))
+    good = truth(scene_of(edge))
+    errors = []
+    for step in (0.0, 0.01):
+        smooth, frames = renderer(), []
+        for number in range(32):
+            behind = ls.MeshInstance(hidden, similarity(offset=(step * number, 0.0, -9.0)))
+            lamp = ls.LightPoint((step * number, 0.0, -9.0), intensity=1e-6)
+            frames.append(smooth.render(replace(scene_of(edge, behind), lights=[lamp]), CAMERA))
+        errors.append(error(frames[-1], good))
+    assert errors[1] < 1.05 * errors[0]

@@ -39,6 +39,10 @@ ANTIALIASING_LEAST = 0.05
 """Tolerance of colour clamping: a pixel's history may lie outside the colour range of the 3 x 3 pixels around the
 pixel by this fraction of their luminance."""
 
+ANTIALIASING_CHANGE = 0.002
+"""Light counts as changed if the samples of 3 x 3 still pixels together differ from their means by more than noise does
+and this fraction."""
+
 FAR_AWAY = 1e6
 """Assumed distance of the background from the eye, scene units, when the background's motion in the image is computed.
 """
@@ -47,6 +51,9 @@ FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
 MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))
 SIGMAS = wp.constant(wp.float32(ANTIALIASING_SIGMAS))
 LEAST = wp.constant(wp.float32(ANTIALIASING_LEAST))
+OUTDATED = wp.constant(wp.float32(1.001e-4))
+"""A weight of cached lighting up to this one means that a light has appeared or disappeared."""
+CHANGE = wp.constant(wp.float32(ANTIALIASING_CHANGE))
 FAR = wp.constant(wp.float32(FAR_AWAY))
 STILL = wp.constant(wp.float32(STILL_PX))
 
@@ -182,6 +189,41 @@ def is_noise(
 
 
 @wp.func
+def unchanged_share(
+    x: int,
+    y: int,
+    size: wp.vec2i,
+    colors: wp.array[wp.vec3],
+    motions: wp.array[wp.vec3],
+    history: TemporalHistory,
+) -> float:
+    """Returns the weight that a still pixel's history keeps while lights or objects change: 1 if its light has not.
+
+    At still edges, samples differ from means in both directions; changed light makes all of them brighter or darker.
+    """
+    means = history.color
+    frames = history.frames
+    changes = history.change
+    difference = float(0.0)
+    variance = float(0.0)
+    total = float(0.0)
+    for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
+        for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
+            tap = row * size[0] + column
+            if is_still(motions[tap]) and frames[tap] > 0.0:
+                mean = luminance(means[tap])
+                difference += luminance(colors[tap]) - mean
+                variance += 0.5 * changes[tap]
+                total += mean
+    by_chance = SIGMAS * wp.sqrt(variance) + CHANGE * total
+    distance = wp.abs(difference)
+    if distance <= by_chance:
+        return 1.0
+    ratio = by_chance / distance
+    return ratio * ratio * ratio * ratio
+
+
+@wp.func
 def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean: wp.vec3) -> float:
     """Returns the weight that a pixel's history keeps: 1 if ``mean`` is in the colour range of the 3 x 3 pixels.
 
@@ -222,7 +264,7 @@ def weight_history(
     Args:
         start: Offset added to the thread index.
         size: Width and height of the images.
-        sequence: The frame, whose weight of cached lighting multiplies the number of frames of every history.
+        sequence: The frame; its weight of cached lighting is below 1 while lights or objects change.
         moved_to: Index in this frame of each instance of the previous frame; UNMOVED (-1): it stood still; GONE (-2):
             it was removed.
         history: History of the previous frame.
@@ -251,7 +293,11 @@ def weight_history(
         near_y = int(wp.round(position[1]))
         if near_x >= 0 and near_x < size[0] and near_y >= 0 and near_y < size[1]:
             tap = near_y * size[0] + near_x
-            frames = sequence[0].history_weight * history.frames[tap]
+            frames = history.frames[tap]
+            if sequence[0].history_weight <= OUTDATED:
+                frames *= sequence[0].history_weight
+            elif stands and sequence[0].history_weight < 1.0:
+                frames *= unchanged_share(x, y, size, colors, motions, history)
             if position[0] != float(near_x) or position[1] != float(near_y):
                 frames = wp.min(frames, MOVING)
             if frames > 0.0 and has_left(history.instance[tap], instance, moved_to):
