@@ -10,15 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import LUMINANCE, STILL_PX
+from lumisplat.device.gi.filter_weights import LUMINANCE_SIGMAS, WEIGHT_LEAST
 from lumisplat.device.gi.surfaces import SAME_NORMAL_MESH, SAME_NORMAL_SPLATS, SAME_SURFACE_PX
+from lumisplat.renderer.realtime.gbuffer_kernels import SAME_PIXEL_PX
 from lumisplat.renderer.realtime.light_filter_kernels import (
     CHANGE_LEAST,
     CHANGE_SIGMAS,
     LOBE_FRAMES,
-    LUMINANCE_SIGMAS,
     MOMENT_FRAMES,
-    SAME_PIXEL_PX,
-    WEIGHT_LEAST,
     YOUNG_FRAMES,
 )
 from lumisplat.renderer.scene.camera_table import CENTER
@@ -84,8 +83,8 @@ def neighbours(surfaces: VisibleSurfaces, radius: int, step: int = 1) -> Iterato
 def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Light) -> Light:
     """Reprojects history to the current pixels, bilinearly over the pixels that showed the same surface.
 
-    If no such pixel exists and the surface stands still, the unweighted mean of the matching 3 x 3 pixels is used,
-    unless samples are at pixel centres.
+    If no such pixel exists and the surface stands still, the first of the 3 x 3 pixels that matches is used, unless
+    samples are at pixel centres.
     """
     camera, found = before.camera, empty(len(surfaces.share))
     known = np.where(np.isnan(surfaces.previous), camera.eye, surfaces.previous)
@@ -97,20 +96,23 @@ def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Lig
     y = camera.fy * local[:, 1] / depth + camera.cy - surfaces.offset[1]
     x, y = (np.where(np.abs(u - np.round(u)) < STILL_PX, np.round(u), u) for u in (x, y))
     tolerated = np.maximum(SAME_PIXEL_PX * np.linalg.norm(offset, axis=1) / camera.fx, surfaces.extent)
-    total = np.zeros(len(offset))
+    total, matched = np.zeros(len(offset)), np.zeros(len(offset), bool)
     near = np.stack([np.floor(x), np.floor(y)]), range(2), range(2)
     around = near[0], range(-1, 2), range(-1, 2)
     own_y, own_x = np.divmod(np.arange(len(offset)), camera.width)
     stands = (x == own_x) & (y == own_y) & (surfaces.offset != CENTER)
     for (left, top), rows, columns in (near, around):
-        is_left = ahead & (total == 0.0) & (stands | (len(rows) == 2))
+        is_first = len(rows) == 2
+        is_left = ahead & ~matched & (stands | is_first)
         for row, column in product(rows, columns):
             at_x, at_y = left + column, top + row
-            weight = (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y)) if len(rows) == 2 else np.ones(len(offset))
+            weight = (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y)) if is_first else np.ones(len(offset))
             inside = is_left & (at_x >= 0) & (at_x < camera.width) & (at_y >= 0) & (at_y < camera.height)
             taps = np.where(inside, at_y * camera.width + at_x, 0).astype(np.int64)
-            counts = inside & is_same(surfaces, known, tolerated, before, taps) & (history.frames[taps] > 0.0)
-            weight = np.where(counts, weight, 0.0)
+            shows = inside & (weight > 0.0) & is_same(surfaces, known, tolerated, before, taps)
+            shows &= is_first | ~matched
+            matched |= shows
+            weight = np.where(shows & (history.frames[taps] > 0.0), weight, 0.0)
             total += weight
             found.frames += weight * history.frames[taps]
             found.light += weight[:, None, None] * history.light[taps]
@@ -227,14 +229,19 @@ def half_turns(surfaces: VisibleSurfaces, taps: Whole) -> Doubles:
 def smoothed(
     surfaces: VisibleSurfaces, frames: Doubles, light: Doubles, variance: Doubles, radius: int, step: int
 ) -> tuple[Doubles, Doubles]:
-    """Runs one spatial pass: weighted means of light and variance over neighbours ``step`` pixels apart."""
+    """Runs one spatial pass: weighted means of light and variance over neighbours ``step`` pixels apart.
+
+    A pixel without samples takes a normalised mean. Weights by luminance do not change the sum of weights, so that no
+    light is lost.
+    """
     own = np.repeat((frames > 0.0)[:, None] * 1.0, 2, axis=1)
+    whole = np.ones_like(own)
     bright = luminance(light)
     shown = surfaces.share > 0.0
     per_distance = 1.0 / np.where(shown, tolerance(surfaces, surfaces.distance), 1.0)
     power = np.where(surfaces.extent > 0.0, 8, 64)
     alpha2 = np.where(frames > 0.0, surfaces.alpha**2 + surfaces.footprint, np.inf)
-    weights, sums, squares = own.copy(), own[..., None] * light, own * variance
+    weights, sums, squares = np.zeros_like(own), np.zeros_like(light), np.zeros_like(variance)
     for row, column, taps, inside in neighbours(surfaces, radius, step):
         if row == column == 0:
             continue
@@ -248,10 +255,14 @@ def smoothed(
         of_each = weight[:, None] * falloff(own * (bright[taps] - bright) / chance)
         turned2 = np.where(counts, np.square(half_turns(surfaces, taps)).sum(axis=1), 0.0)
         widths = LOBE_WIDTHS * np.maximum(1.0, LOBE_FRAMES / np.maximum(frames, 1.0))
-        of_each[:, 1] *= falloff(np.sqrt(turned2 / alpha2) / widths)
+        of_turn = falloff(np.sqrt(turned2 / alpha2) / widths)
+        of_each[:, 1] *= of_turn
+        whole += np.stack([weight, of_turn * weight], axis=1)
         weights += of_each
         sums += of_each[..., None] * light[taps]
         squares += of_each * of_each * variance[taps]
+    rest = own * (whole - weights)
+    weights, sums, squares = weights + rest, sums + rest[..., None] * light, squares + rest * rest * variance
     some = (weights > 0.0) & shown[:, None]
     divisor = np.where(some, weights, 1.0)
     return (

@@ -10,8 +10,9 @@ import numpy.typing as npt
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.gi.surfaces import LightHistory, SurfaceLight, SurfacePixels
+from lumisplat.device.gi.surfaces import LightHistory, Reprojection, SurfaceLight, SurfacePixels
 from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
+from lumisplat.renderer.realtime.gbuffer_kernels import find_previous
 from lumisplat.renderer.realtime.light_filter import LightFilter
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, device_array
@@ -69,11 +70,20 @@ class FilterSequence:
             ),
             image_size=(seen.camera.width, seen.camera.height),
         )
-        surfaces = PixelSurfaces(1, now, self._before or now)
+        surfaces = self._surfaces(now, scene)
         found = self.filter.filter(cast(DeviceScene, scene), surfaces, light, self.frame)
         self._seen, self._before = seen, now
         self.frame += 1
         return np.stack([values(found.diffuse), values(found.glossy)], axis=1)
+
+    def _surfaces(self, now: SurfacePixels, scene: SimpleNamespace) -> PixelSurfaces:
+        """Returns the surfaces of a frame with those of the last one, and the pixels that showed them there."""
+        width, height = scene.image_size
+        before = self._before or now
+        reprojection = self._buffers.struct("reprojection", Reprojection, width * height)
+        inputs = [0, wp.vec2i(width, height), now, before, scene.camera, scene.motion.camera, reprojection]
+        wp.launch(find_previous, width * height, inputs=inputs, device="cpu")
+        return PixelSurfaces(1, now, before, reprojection)
 
     def history(self) -> LightHistory:
         """Returns the history of the last frame."""

@@ -79,6 +79,16 @@ class SurfacePixels:
 
 
 @struct
+class Reprojection:
+    """For each pixel, in row order: which pixels of the previous frame showed its surface, and their weights."""
+
+    first: wp.array[int]
+    """Index of the upper left one of four pixels."""
+    weights: wp.array[wp.vec4]
+    """Weights of this pixel, and of those to its right, below, and below to the right; all 0: none showed it."""
+
+
+@struct
 class SequenceData:
     """Number of a frame in its real-time sequence, and how far cached lighting is valid, in a 1-element array."""
 
@@ -124,6 +134,12 @@ class PixelLight:
     glossy: wp.array[wp.vec3]
     """Linear radiance of the sampled light, unshadowed, that all other lobes reflect, as if the surface covered the
     whole pixel."""
+    light: wp.array[int]
+    """Index of the sampled light if its visibility is remembered, else -1.
+
+    Then ``diffuse`` and ``glossy`` are only what its visibility at its centre leaves out."""
+    ratio: wp.array[float]
+    """Unshadowed irradiance of the sample over that of the light's centre, 0..`VISIBILITY_MOST`."""
 
 
 @struct

@@ -26,7 +26,7 @@ from lumisplat.device.light.lobe_lights import crossing_of, lobe_at, lobe_chance
 from lumisplat.device.light.shadow_rays import start_shadow_ray
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample, view_albedo
 from lumisplat.device.material.microfacets import transmits
-from lumisplat.device.math.color import is_black
+from lumisplat.device.math.color import is_black, luminance
 from lumisplat.device.math.directions import PI
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs import struct
@@ -77,6 +77,14 @@ CHOICE_BRANCH = wp.constant(3)
 
 SHADOW_BRANCH = wp.constant(5)
 """Branch of a ray's random key for the shadow ray towards the one selected light."""
+
+EMITTER_BRANCH = wp.constant(9)
+"""Branch of a ray's random key that selects the triangles of `resampled_emitter`."""
+
+EMITTER_CANDIDATES = 8
+"""Number of points on emissive triangles of which real-time rendering samples one."""
+
+CANDIDATES = wp.constant(EMITTER_CANDIDATES)
 
 WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 
@@ -547,6 +555,42 @@ def start_chosen_ray(
 
 
 @wp.func
+def resampled_emitter(
+    interaction: Interaction, key: wp.uint32, index: int, scene: wp.array[ShadingScene]
+) -> LightSample:
+    """Samples the emissive triangles as a light: one of several points, chosen by its unshadowed irradiance.
+
+    Points chosen by power alone are rare and bright beside a small triangle. Resampled importance sampling (Talbot et
+    al. 2005) keeps the mean. ``index`` is the number of the pixel's sample; the sample's ``pdf`` is 0.
+    """
+    points = branch_key(key, POINT_BRANCH)
+    triangles = branch_key(key, EMITTER_BRANCH)
+    rest = sobol_2d(branch_key(key, CHOICE_BRANCH), index)[1]
+    chosen = LightSample()
+    total = float(0.0)
+    weight = float(0.0)
+    candidates = int(CANDIDATES)  # a variable, so that Warp does not unroll the loop
+    for candidate in range(candidates):
+        number = candidates * index + candidate
+        which = sobol_2d(triangles, number)[0]
+        sample = sample_emitter(interaction.position, sobol_2d(points, number), which, scene)
+        found = luminance(irradiance_of(interaction, sample))
+        if found > 0.0 and found < wp.inf:
+            total += found
+            chance = found / total
+            if rest < chance:
+                chosen = sample
+                weight = found
+                rest = rest / chance
+            else:
+                rest = (rest - chance) / (1.0 - chance)
+    chosen.pdf = 0.0
+    if weight > 0.0:
+        chosen.irradiance = (total / (float(CANDIDATES) * weight)) * chosen.irradiance
+    return chosen
+
+
+@wp.func
 def sample_choice(
     i: int,
     slot: int,
@@ -569,6 +613,9 @@ def sample_choice(
     contribution = Contribution()
     if is_environment(choice.number, scene):
         contribution = sample_chosen_environment(choice, interaction, u, which, scene)
+    elif choice.number == scene[0].settings[0].light_count and lobe_chance(choice.number, interaction, scene) <= 0.0:
+        resampled = resampled_emitter(interaction, key, sample, scene)
+        contribution = contribution_of(interaction, resampled, 1.0 / choice.probability)
     else:
         contribution = sample_light_or_lobe(choice, interaction, u, which, scene)
     if is_black(contribution.color) or no_shadows or not casts_shadow(choice.number, scene):

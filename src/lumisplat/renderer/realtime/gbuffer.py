@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from lumisplat.device.gi.surfaces import SurfacePixels
+from lumisplat.device.gi.surfaces import Reprojection, SurfacePixels
 from lumisplat.renderer.realtime import gbuffer_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
@@ -27,6 +27,8 @@ class PixelSurfaces:
     now: SurfacePixels
     before: SurfacePixels
     """Surfaces at the pixels of the previous frame."""
+    reprojection: Reprojection
+    """Pixels of the previous frame that showed the surfaces of this one."""
 
 
 class GBuffer:
@@ -67,7 +69,10 @@ class GBuffer:
             run(kernels.store_mesh_surfaces, wave.count, *inputs)
         width, height = scene.image_size
         run(kernels.measure_footprints, width * height, wp.vec2i(width, height), scene.camera, now)
-        return PixelSurfaces(kind, now, before)
+        reprojection = self._buffers.struct(f"gbuffer.{kind}.previous", Reprojection, len(now.share))
+        inputs = wp.vec2i(width, height), now, before, scene.camera, motion.camera, reprojection
+        run(kernels.find_previous, width * height, *inputs)
+        return PixelSurfaces(kind, now, before, reprojection)
 
     def _pixels(self, scene: DeviceScene, kind: int, frame: int) -> SurfacePixels:
         width, height = scene.image_size

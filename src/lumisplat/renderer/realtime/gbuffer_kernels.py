@@ -8,12 +8,17 @@ import warp as wp
 from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.gi.surfaces import (
     InstanceMotion,
+    Reprojection,
     SurfacePixels,
     diffuse_albedo,
     footprint_alpha2,
     glossy_albedo,
     highlight_width,
+    is_same_surface,
+    least_cosine,
     mesh_before,
+    pixel_before,
+    snapped,
     splat_before,
 )
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
@@ -23,6 +28,13 @@ from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
+
+SAME_PIXEL_PX = 2.0
+"""A point continues the history of a previous pixel if the point and the pixel's surface each lie within this many
+pixel widths of the other's tangent plane. The limit keeps contact shadows from taking the history of the object that
+stands on the surface."""
+
+PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
 
 
 @wp.func
@@ -100,3 +112,60 @@ def measure_footprints(start: int, size: wp.vec2i, camera: wp.array[CameraData],
     pixel = start + wp.tid()
     if surfaces_inout.share[pixel] > 0.0:
         surfaces_inout.footprint[pixel] = footprint_alpha2(pixel, size, surfaces_inout, camera)
+
+
+@wp.kernel
+def find_previous(
+    start: int,
+    size: wp.vec2i,
+    surfaces: SurfacePixels,
+    before: SurfacePixels,
+    camera: wp.array[CameraData],
+    camera_before: wp.array[CameraData],
+    reprojection_out: Reprojection,
+):
+    """Per pixel: finds the four previous pixels around its reprojected surface, and their bilinear weights.
+
+    A previous pixel counts only if it shows the same surface. If none of the four does and the surface stands still,
+    one of the 3 x 3 pixels around that shows it counts alone, because jittered samples may see past edges.
+    """
+    pixel = start + wp.tid()
+    reprojection_out.weights[pixel] = wp.vec4(0.0)
+    if surfaces.share[pixel] <= 0.0:
+        return
+    position = surfaces.previous[pixel]
+    if wp.isnan(position[0]):
+        return
+    at = pixel_before(position, camera_before)
+    if at[2] <= 0.0:
+        return
+    # Histories belong to pixel centres, but the position is that of a jittered sample.
+    x = snapped(at[0] - camera[0].offset[0])
+    y = snapped(at[1] - camera[0].offset[1])
+    left = int(wp.floor(x))
+    top = int(wp.floor(y))
+    extent = surfaces.extent[pixel]
+    tolerated = wp.max(PIXEL_PX * at[2] / camera_before[0].focal[0], extent)
+    cosine_min = least_cosine(extent)
+    normal = surfaces.normal[pixel]
+    weights = wp.vec4(0.0)
+    total = float(0.0)
+    for number in range(4):
+        column = left + number % 2
+        row = top + number // 2
+        weight = (1.0 - wp.abs(x - float(column))) * (1.0 - wp.abs(y - float(row)))
+        if weight > 0.0 and column >= 0 and column < size[0] and row >= 0 and row < size[1]:
+            if is_same_surface(position, normal, tolerated, cosine_min, row * size[0] + column, before):
+                weights[number] = weight
+                total += weight
+    reprojection_out.first[pixel] = top * size[0] + left
+    is_jittered = camera[0].offset[0] != 0.5 or camera[0].offset[1] != 0.5
+    if total == 0.0 and is_jittered and x == float(pixel % size[0]) and y == float(pixel // size[0]):
+        for row in range(wp.max(top - 1, 0), wp.min(top + 2, size[1])):
+            for column in range(wp.max(left - 1, 0), wp.min(left + 2, size[0])):
+                tap = row * size[0] + column
+                if total == 0.0 and is_same_surface(position, normal, tolerated, cosine_min, tap, before):
+                    reprojection_out.first[pixel] = tap
+                    weights[0] = 1.0
+                    total = 1.0
+    reprojection_out.weights[pixel] = weights

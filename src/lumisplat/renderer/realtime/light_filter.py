@@ -68,8 +68,7 @@ class LightFilter:
             device_array(before.frames).zero_()
         self.has_history = True
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
-        inputs = surfaces.now, surfaces.before, scene.camera, scene.motion.camera, before, found
-        self._run(scene, kernels.reproject, *inputs)
+        self._run(scene, kernels.reproject, surfaces.now, surfaces.reprojection, before, found)
         inputs = float(self._config.frames), self._shared, scene.motion.sequence
         self._run(scene, kernels.accumulate, *inputs, surfaces.now, scene.camera, light, found, now)
         return now

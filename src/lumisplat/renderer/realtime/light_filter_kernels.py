@@ -6,18 +6,17 @@ edge-avoiding wavelets (Dammertz et al. 2010) with weights of compact support (d
 
 import warp as wp
 
+from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
     LightHistory,
+    Reprojection,
     SequenceData,
     SurfaceLight,
     SurfacePixels,
     half_turn,
     is_near,
-    is_same_surface,
     least_cosine,
-    pixel_before,
-    snapped,
     tolerance,
     turn_per_offset,
 )
@@ -30,11 +29,6 @@ wp.set_module_options({"enable_backward": False})
 
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
-SAME_PIXEL_PX = 2.0
-"""A point continues the history of a previous pixel if the point and the pixel's surface each lie within this many
-pixel widths of the other's tangent plane. The limit keeps contact shadows from taking the history of the object that
-stands on the surface."""
-
 CHANGE_SIGMAS = 3.0
 """Light counts as changed if the samples around a pixel differ from their means by at least this many standard
 deviations of the noise."""
@@ -46,10 +40,6 @@ MOMENT_FRAMES = 8
 """Number of frames up to which the luminance's moments, and hence the variance, are true means; later frames have the
 weight 1/8 each, so that old frames fade."""
 
-LUMINANCE_SIGMAS = 4.0
-"""Scale of the weight by luminance difference, as in SVGF: a neighbour's weight is a falloff of the difference divided
-by this many standard deviations of the noise."""
-
 YOUNG_FRAMES = 3.5
 """Number of frames below which a pixel's variance is estimated from neighbouring pixels. SVGF uses 4; numbers of
 frames are whole up to rounding, so 3.5 is safe."""
@@ -57,19 +47,11 @@ frames are whole up to rounding, so 3.5 is safe."""
 LOBE_FRAMES = 8.0
 """Number of frames below which glossy light is averaged over wider highlights, in inverse proportion."""
 
-WEIGHT_LEAST = 1e-8
-"""A neighbour is ignored if its position weight times its normal weight is below this value, so that surfaces at an
-angle give no light to pixels without samples."""
-
-PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
 CHANGED_SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
 CHANGED_LEAST = wp.constant(wp.float32(CHANGE_LEAST))
 YOUNG = wp.constant(wp.float32(YOUNG_FRAMES))
 MOMENTS = wp.constant(wp.float32(MOMENT_FRAMES))
-SIGMAS = wp.constant(wp.float32(LUMINANCE_SIGMAS))
 LOBES = wp.constant(wp.float32(LOBE_FRAMES))
-WEIGHT_MIN = wp.constant(wp.float32(WEIGHT_LEAST))
-TINY = wp.constant(wp.float32(1e-8))
 
 
 @struct
@@ -133,60 +115,6 @@ def store_history(pixel: int, pixel_history: PixelHistory, history: LightHistory
 
 
 @wp.func
-def history_of(
-    pixel: int,
-    size: wp.vec2i,
-    surfaces: SurfacePixels,
-    before: SurfacePixels,
-    camera: wp.array[CameraData],
-    camera_before: wp.array[CameraData],
-    image: LightHistory,
-) -> PixelHistory:
-    """Interpolates the history of a pixel's surface between the four previous pixels around its reprojected position.
-
-    A previous pixel counts only if it shows the same surface. If none of the four shows it and the surface stands
-    still, the history is the mean over 3 x 3 pixels, because jittered samples may see past edges.
-    """
-    history = PixelHistory()
-    position = surfaces.previous[pixel]
-    if wp.isnan(position[0]):
-        return history
-    at = pixel_before(position, camera_before)
-    if at[2] <= 0.0:
-        return history
-    # Histories belong to pixel centres, but the position is that of a jittered sample.
-    x = snapped(at[0] - camera[0].offset[0])
-    y = snapped(at[1] - camera[0].offset[1])
-    left = int(wp.floor(x))
-    top = int(wp.floor(y))
-    extent = surfaces.extent[pixel]
-    tolerated = wp.max(PIXEL_PX * at[2] / camera_before[0].focal[0], extent)
-    cosine_min = least_cosine(extent)
-    total = float(0.0)
-    for row in range(top, top + 2):
-        for column in range(left, left + 2):
-            weight = (1.0 - wp.abs(x - float(column))) * (1.0 - wp.abs(y - float(row)))
-            if weight > 0.0 and column >= 0 and column < size[0] and row >= 0 and row < size[1]:
-                tap = row * size[0] + column
-                is_same = is_same_surface(position, surfaces.normal[pixel], tolerated, cosine_min, tap, before)
-                if is_same and image.frames[tap] > 0.0:
-                    history = with_tap(history, weight, tap, image)
-                    total += weight
-    is_jittered = camera[0].offset[0] != 0.5 or camera[0].offset[1] != 0.5
-    if total == 0.0 and is_jittered and x == float(pixel % size[0]) and y == float(pixel // size[0]):
-        for row in range(wp.max(top - 1, 0), wp.min(top + 2, size[1])):
-            for column in range(wp.max(left - 1, 0), wp.min(left + 2, size[0])):
-                tap = row * size[0] + column
-                is_same = is_same_surface(position, surfaces.normal[pixel], tolerated, cosine_min, tap, before)
-                if is_same and image.frames[tap] > 0.0:
-                    history = with_tap(history, 1.0, tap, image)
-                    total += 1.0
-    if total > 0.0:
-        history = scaled(history, 1.0 / total)
-    return history
-
-
-@wp.func
 def with_sample(history: PixelHistory, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float) -> PixelHistory:
     """Returns a history with one more frame's diffuse and glossy light; beyond ``frames_max``, old frames fade."""
     count = history.frames + 1.0
@@ -204,9 +132,7 @@ def reproject(
     start: int,
     size: wp.vec2i,
     surfaces: SurfacePixels,
-    before: SurfacePixels,
-    camera: wp.array[CameraData],
-    camera_before: wp.array[CameraData],
+    reprojection: Reprojection,
     history: LightHistory,
     history_out: LightHistory,
 ):
@@ -214,7 +140,17 @@ def reproject(
     pixel = start + wp.tid()
     pixel_history = PixelHistory()
     if surfaces.share[pixel] > 0.0:
-        pixel_history = history_of(pixel, size, surfaces, before, camera, camera_before, history)
+        first = reprojection.first[pixel]
+        weights = reprojection.weights[pixel]
+        total = float(0.0)
+        for number in range(4):
+            if weights[number] > 0.0:
+                tap = first + number % 2 + (number // 2) * size[0]
+                if history.frames[tap] > 0.0:
+                    pixel_history = with_tap(pixel_history, weights[number], tap, history)
+                    total += weights[number]
+        if total > 0.0:
+            pixel_history = scaled(pixel_history, 1.0 / total)
     store_history(pixel, pixel_history, history_out)
 
 
@@ -423,13 +359,6 @@ def estimate_variance(
 
 
 @wp.func
-def falloff(x: float) -> float:
-    """Returns a smooth approximation of exp(-x^2 / 3) that is exactly 0 from x = 3 on."""
-    rest = wp.max(1.0 - x * x / 9.0, 0.0)
-    return rest * rest * rest
-
-
-@wp.func
 def lobe_weight(turned: wp.vec3, per_turn2: float) -> float:
     """Returns a neighbour's weight in glossy light: a falloff of how far its normal has turned from the half vector.
 
@@ -437,35 +366,6 @@ def lobe_weight(turned: wp.vec3, per_turn2: float) -> float:
     """
     rest = wp.max(1.0 - per_turn2 / 9.0 * wp.dot(turned, turned), 0.0)
     return rest * rest * rest
-
-
-@wp.func
-def luminance_weight(difference: float, variance: float, other: float) -> float:
-    """Returns a neighbour's weight by luminance difference, relative to the geometric mean of two standard deviations.
-
-    Args:
-        difference: Difference between the luminances of pixel and neighbour.
-        variance: Variance of the pixel's luminance.
-        other: Variance of the neighbour's luminance.
-    """
-    return falloff(difference / (SIGMAS * wp.sqrt(wp.sqrt(variance * other)) + TINY))
-
-
-@wp.func
-def normal_weight(cosine: float, extent: float) -> float:
-    """Returns a neighbour's weight: the cosine between the two normals, to the power 8 (Gaussians) or 64 (meshes).
-
-    ``extent`` is the Gaussian's size; 0 for meshes.
-    """
-    power = wp.max(cosine, 0.0)
-    power *= power
-    power *= power
-    power *= power
-    if extent > 0.0:
-        return power
-    power *= power
-    power *= power
-    return power * power
 
 
 @wp.kernel
@@ -523,19 +423,20 @@ def filter_pass(
     of_diffuses = light.diffuse
     of_glossies = light.glossy
     variances = light.variance
-    self_weight = wp.where(frames[pixel] > 0.0, 1.0, 0.0)
-    weights = wp.vec2(self_weight)
-    diffuse = self_weight * diffuse
-    glossy = self_weight * glossy
-    squares = self_weight * variance
+    is_known = wp.where(frames[pixel] > 0.0, 1.0, 0.0)
+    weights = wp.vec2(0.0)
+    diffuse_sum = wp.vec3(0.0)
+    glossy_sum = wp.vec3(0.0)
+    squares = wp.vec2(0.0)
+    whole = wp.vec2(1.0)
     for row in range(-radius, radius + 1):
         tap_y = y + row * step
-        if tap_y < 0 or tap_y >= size[1]:
-            continue
         for column in range(-radius, radius + 1):
             tap_x = x + column * step
             tap = tap_y * size[0] + tap_x
-            if tap_x < 0 or tap_x >= size[0] or tap == pixel or frames[tap] <= 0.0:
+            if tap_x < 0 or tap_x >= size[0] or tap_y < 0 or tap_y >= size[1] or tap == pixel:
+                continue
+            if frames[tap] <= 0.0:
                 continue
             tap_normal = normals[tap]
             offset = positions[tap] - position
@@ -546,20 +447,26 @@ def filter_pass(
             weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
             tap_variance = variances[tap]
             tap_diffuse = of_diffuses[tap]
-            difference = self_weight * (luminance(tap_diffuse) - bright[0])
+            difference = is_known * (luminance(tap_diffuse) - bright[0])
             of_diffuse = weight * luminance_weight(difference, variance[0], tap_variance[0])
-            diffuse += of_diffuse * tap_diffuse
+            diffuse_sum += of_diffuse * tap_diffuse
             tap_glossy = of_glossies[tap]
-            difference = self_weight * (luminance(tap_glossy) - bright[1])
+            difference = is_known * (luminance(tap_glossy) - bright[1])
             of_glossy = weight * luminance_weight(difference, variance[1], tap_variance[1])
             turned = half_turn(offset, normal, tap_normal, view, per_view)
-            of_glossy *= lobe_weight(turned, per_turn2)
-            glossy += of_glossy * tap_glossy
+            of_turn = lobe_weight(turned, per_turn2)
+            of_glossy *= of_turn
+            whole += wp.vec2(weight, of_turn * weight)
+            glossy_sum += of_glossy * tap_glossy
             weights += wp.vec2(of_diffuse, of_glossy)
             squares += wp.vec2(of_diffuse * of_diffuse * tap_variance[0], of_glossy * of_glossy * tap_variance[1])
+    # Weights by luminance are the same both ways, and do not change the sum of weights, so that no light is lost.
+    own = is_known * (whole - weights)
+    weights += own
+    squares += wp.vec2(own[0] * own[0] * variance[0], own[1] * own[1] * variance[1])
     if weights[0] > 0.0:
-        light_out.diffuse[pixel] = diffuse / weights[0]
+        light_out.diffuse[pixel] = (diffuse_sum + own[0] * diffuse) / weights[0]
         light_out.variance[pixel][0] = squares[0] / (weights[0] * weights[0])
     if weights[1] > 0.0:
-        light_out.glossy[pixel] = glossy / weights[1]
+        light_out.glossy[pixel] = (glossy_sum + own[1] * glossy) / weights[1]
         light_out.variance[pixel][1] = squares[1] / (weights[1] * weights[1])

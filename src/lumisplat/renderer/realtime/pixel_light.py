@@ -9,12 +9,14 @@ import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.device.gi.light_visibility import LightVisibility
 from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.realtime import captured_emitter_kernels, pixel_light_kernels
 from lumisplat.renderer.realtime.gbuffer import MESHES, SPLATS, PixelSurfaces
 from lumisplat.renderer.realtime.light_grid import LightGrids
+from lumisplat.renderer.realtime.light_visibility import LightVisibilities
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan, SplatShadows
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
@@ -45,10 +47,13 @@ class PixelLights:
         self._follows_lobes = config.realtime.highlight_rays and config.max_bounces != 0
         self._grids = LightGrids(launcher, buffers)
         self._direct_light = DirectLight(launcher, buffers, config)
+        self._visibilities = [
+            LightVisibilities(launcher, buffers, config.realtime.filter, kind) for kind in (SPLATS, MESHES)
+        ]
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the modules of the kernels that this class launches in a frame."""
-        modules: list[KernelModule] = [pixel_light_kernels, *self._grids.modules()]
+        modules: list[KernelModule] = [pixel_light_kernels, *self._grids.modules(), *LightVisibilities.modules()]
         if plan.has_emissive_captures:
             modules += [captured_emitter_kernels, *self._shadows.modules(_OF_MESHES, has_meshes=plan.has_meshes)]
         if not plan.casts_shadows:
@@ -57,8 +62,20 @@ class PixelLights:
             modules += self._direct_light.modules(plan)
         return [*modules, *self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes)]
 
+    def reset(self) -> None:
+        """Begins a new sequence of frames: forgets the visibility of lights."""
+        for visibilities in self._visibilities:
+            visibilities.reset()
+
     def sample(
-        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[PixelSurfaces]
+        self,
+        scene: DeviceScene,
+        plan: FramePlan,
+        wave: RayWave,
+        surfaces: list[PixelSurfaces],
+        *,
+        layers: tuple[DeviceArray, DeviceArray],
+        frame: int,
     ) -> list[SurfaceLight]:
         """Samples a light for one surface of each pixel that has a sample in this frame.
 
@@ -67,6 +84,8 @@ class PixelLights:
             plan: Plan of the frame.
             wave: The camera rays.
             surfaces: Splat surfaces and mesh surfaces of the pixels, as far as the scene has them.
+            layers: Layer of diffuse light and layer of glossy light, to which light of remembered visibility is added.
+            frame: Parity of the frame.
 
         Returns:
             Samples on each of ``surfaces``.
@@ -80,11 +99,24 @@ class PixelLights:
         inputs = interval, scene.motion.sequence, scene.camera, wave.data
         self._launcher.run_banded(pixel_light_kernels.number_samples, count, *inputs)
         grid = self._grids.of_wave(scene, wave)
+        lights = 0 if self._grids.is_needed(scene) else len(scene.motion.light_before)
+        if lights == 0:
+            self.reset()
+        remembered = [LightVisibility(), LightVisibility()]
         with self._launcher.stage("lights"):
-            inputs = not plan.casts_shadows, interval, scene.motion.sequence, grid, scene.camera
+            if lights > 0:
+                for kind in surfaces:
+                    remembered[kind.kind] = self._visibilities[kind.kind].fetch(scene, kind, lights, frame)
+            inputs = not plan.casts_shadows, interval, scene.motion.sequence, grid, *remembered, scene.camera
             inputs = *inputs, scene.shading, wave.data, *self._footprints(surfaces), light, rays
             self._run(pixel_light_kernels.sample_lights, count, *inputs)
         visibility = self._visibility(scene, plan, rays)
+        if lights > 0:
+            with self._launcher.stage("visibility"):
+                for kind in surfaces:
+                    part, before = self._visibilities[kind.kind], remembered[kind.kind]
+                    now = part.update(scene, kind, light, rays, visibility=visibility, before=before, frame=frame)
+                    part.add(scene, wave, kind, now, layers=layers, no_shadows=not plan.casts_shadows)
         self._add_captured(scene, plan, wave, light, rays, visibility=visibility)
         with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
@@ -151,7 +183,7 @@ class PixelLights:
         boxes, marked = scene.captured_emitters.boxes, scene.captured_emitters.marked
         if boxes is None or marked is None:
             return
-        reflected = self._buffers.struct("captured_light", PixelLight, count, {"slot"})
+        reflected = self._buffers.struct("captured_light", PixelLight, count, {"slot", "light", "ratio"})
         sent = self._buffers.struct("captured_light.rays", RayData, count)
         with self._launcher.stage("lights"):
             inputs = self._follows_lobes, boxes, scene.shading, wave.data

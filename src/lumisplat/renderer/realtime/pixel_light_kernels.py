@@ -7,6 +7,7 @@ import warp as wp
 
 from lumisplat.device.camera.pixels import pixel_number, pixel_of_ray
 from lumisplat.device.gi.light_grid import LightGrid, lit_surface, sample_light_of
+from lumisplat.device.gi.light_visibility import LightVisibility, doubtful_light, is_remembered, sample_remembered
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
     PixelLight,
@@ -15,13 +16,15 @@ from lumisplat.device.gi.surfaces import (
     SurfacePixels,
     is_sampled_in_frame,
 )
+from lumisplat.device.light.direct_light import CHOICE_BRANCH, sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.lobe_lights import eval_in_pixel, relevant_footprint, widened
 from lumisplat.device.material.bsdf import bsdf_eval, diffuse_share
 from lumisplat.device.math.color import is_black
+from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import ShadingScene, WaveData
+from lumisplat.device.structs.shading import Contribution, ShadingScene, WaveData
 
 ALBEDO_MIN = 1e-3
 """Lower bound of albedos. Reflected diffuse light is divided by the albedo to get irradiance, and the irradiance is
@@ -59,6 +62,8 @@ def sample_lights(
     interval: int,
     sequence: wp.array[SequenceData],
     grid: LightGrid,
+    at_splats: LightVisibility,
+    at_meshes: LightVisibility,
     camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
@@ -75,6 +80,8 @@ def sample_lights(
         interval: Number of frames from one sample of a pixel to the next, 1 or 2.
         sequence: The frame in its sequence; its number is read.
         grid: Light grid of the camera rays' surfaces.
+        at_splats: Visibility of lights at splat surfaces in earlier frames.
+        at_meshes: Visibility of lights at mesh surfaces in earlier frames.
         camera: Camera of the frame.
         scene: The scene.
         wave: The camera rays, after `number_samples`.
@@ -86,6 +93,7 @@ def sample_lights(
     i = start + wp.tid()
     rays_out.is_active[i] = False
     light_out.slot[i] = -1
+    light_out.light[i] = -1
     light_out.diffuse[i] = wp.vec3(0.0)
     light_out.glossy[i] = wp.vec3(0.0)
     at = pixel_of_ray(camera[0].width, i)
@@ -105,8 +113,24 @@ def sample_lights(
         footprint = footprint_of_meshes[pixel]
     footprint = relevant_footprint(footprint, interaction)
     bsdf = interaction.bsdf
-    interaction.bsdf = widened(bsdf, footprint)
-    contribution = sample_light_of(i, slot, interaction, no_shadows, grid, scene, wave, rays_out)
+    remembered = at_splats
+    if slot == 1:
+        remembered = at_meshes
+    contribution = Contribution()
+    if remembered.counts and pixel >= 0:
+        key = branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH)
+        u = sobol_2d(key, wave[0].rays.sample[i])
+        choice = doubtful_light(u[0], pixel, interaction, remembered, scene)
+        if choice.number < 0:
+            return
+        if is_remembered(choice.number, interaction, scene):
+            sample_remembered(i, slot, choice, interaction, no_shadows, scene, wave, light_out, rays_out)
+            return
+        interaction.bsdf = widened(bsdf, footprint)
+        contribution = sample_choice(i, slot, choice, interaction, no_shadows, scene, wave, rays_out)
+    else:
+        interaction.bsdf = widened(bsdf, footprint)
+        contribution = sample_light_of(i, slot, interaction, no_shadows, grid, scene, wave, rays_out)
     if is_black(contribution.color):
         return
     direction = contribution.direction

@@ -161,7 +161,8 @@ class RealtimeIntegrator:
             layers = self._begin_layers(wave)
             surfaces = self._gbuffer.store(scene, wave, number)
         with frame_pass("direct"):
-            direct = self._lights.sample(scene, plan, wave, surfaces)
+            of_direct = layers["direct_diffuse"], layers["direct_glossy"]
+            direct = self._lights.sample(scene, plan, wave, surfaces, layers=of_direct, frame=number)
         lobes = None
         if self._bounces:
             with frame_pass("indirect"):
@@ -210,7 +211,7 @@ class RealtimeIntegrator:
         """
         if self._size is None:
             self._indirect.cache.reset()
-        for part in (self._gbuffer, self._indirect.probes, self._antialiasing, *self._filters.values()):
+        for part in (self._gbuffer, self._lights, self._indirect.probes, self._antialiasing, *self._filters.values()):
             part.reset()
         self._size = size
 

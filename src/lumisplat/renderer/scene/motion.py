@@ -76,6 +76,8 @@ class Motion:
         self.moved_to: wp.array[int]
         """Index in this frame of each instance of the previous frame, splat instances first; UNMOVED (-1) if it stood
         still, GONE (-2) if it was removed."""
+        self.light_before: wp.array[int]
+        """Index in the previous frame of each light; -1: the light is new."""
 
     def sync(
         self,
@@ -104,6 +106,8 @@ class Motion:
         numbers = [*splats, *(None if number is None else len(before.splats) + number for number in meshes)]
         moved = moved_to(asset_transforms(scene), asset_transforms(before), numbers)
         self.moved_to = self._buffers.upload("motion.moved_to", wp.int32, np.array(moved, np.int32))
+        lights = lights_before(scene.lights, before.lights) or ([0] if has_headlight else [])
+        self.light_before = self._buffers.upload("motion.light_before", wp.int32, np.array(lights, np.int32))
         self.history_weight = self._changes.history_weight(scene, has_headlight, captures)
         self._scene, self._camera = scene, camera
         self._positions = positions
@@ -201,6 +205,33 @@ def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numb
         if old is not None:
             moved[old] = UNMOVED if now[number] == before[old] else number
     return moved
+
+
+def lights_before(now: Sequence[Light], before: Sequence[Light]) -> list[int]:
+    """Returns the index that each light had in the previous frame; -1: the light is new.
+
+    Lights with equal values correspond; of the others, those of one type do in order of their values.
+    """
+    left = list(range(len(before)))
+    numbers = [-1] * len(now)
+    for key in (light_values, light_look, type):
+        of_before = [key(light) for light in before]
+        for number, light in enumerate(now):
+            if numbers[number] < 0:
+                numbers[number] = next((other for other in left if of_before[other] == key(light)), -1)
+                if numbers[number] >= 0:
+                    left.remove(numbers[number])
+    return numbers
+
+
+def light_values(light: Light) -> object:
+    """Returns type and values of a light, by which it is recognised when it stands still."""
+    return type(light), values_of(light)
+
+
+def light_look(light: Light) -> object:
+    """Returns type, name, colour and intensity of a light, by which it is recognised when it moves."""
+    return type(light), light.name, comparable(np.asarray(light.color)), light.intensity
 
 
 def is_same_capture(now: SplatInstance, before: SplatInstance) -> bool:

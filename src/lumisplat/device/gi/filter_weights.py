@@ -1,0 +1,51 @@
+"""Weights of neighbouring pixels in the spatial filters of real-time light (docs/method/realtime.md#filters)."""
+
+import warp as wp
+
+LUMINANCE_SIGMAS = 4.0
+"""Scale of the weight by luminance difference, as in SVGF: a neighbour's weight is a falloff of the difference divided
+by this many standard deviations of the noise."""
+
+WEIGHT_LEAST = 1e-8
+"""A neighbour is ignored if its position weight times its normal weight is below this value, so that surfaces at an
+angle give no light to pixels without samples."""
+
+WEIGHT_MIN = wp.constant(wp.float32(WEIGHT_LEAST))
+SIGMAS = wp.constant(wp.float32(LUMINANCE_SIGMAS))
+TINY = wp.constant(wp.float32(1e-8))
+
+
+@wp.func
+def falloff(x: float) -> float:
+    """Returns a smooth approximation of exp(-x^2 / 3) that is exactly 0 from x = 3 on."""
+    rest = wp.max(1.0 - x * x / 9.0, 0.0)
+    return rest * rest * rest
+
+
+@wp.func
+def luminance_weight(difference: float, variance: float, other: float) -> float:
+    """Returns a neighbour's weight by luminance difference, relative to the geometric mean of two standard deviations.
+
+    Args:
+        difference: Difference between the luminances of pixel and neighbour.
+        variance: Variance of the pixel's luminance.
+        other: Variance of the neighbour's luminance.
+    """
+    return falloff(difference / (SIGMAS * wp.sqrt(wp.sqrt(variance * other)) + TINY))
+
+
+@wp.func
+def normal_weight(cosine: float, extent: float) -> float:
+    """Returns a neighbour's weight: the cosine between the two normals, to the power 8 (Gaussians) or 64 (meshes).
+
+    ``extent`` is the Gaussian's size; 0 for meshes.
+    """
+    power = wp.max(cosine, 0.0)
+    power *= power
+    power *= power
+    power *= power
+    if extent > 0.0:
+        return power
+    power *= power
+    power *= power
+    return power * power

@@ -1,0 +1,206 @@
+"""Visibility of lights at pixels: which fraction of each light's unshadowed irradiance arrived in earlier frames.
+
+Unshadowed light of lamps and suns is computed anew in each frame; only its visibility is remembered
+(docs/method/realtime.md#visibility).
+"""
+
+import warp as wp
+
+from lumisplat.device.gi.surfaces import PixelLight
+from lumisplat.device.light.direct_light import (
+    POINT_BRANCH,
+    casts_shadow,
+    choice_count,
+    contribution_of,
+    irradiance_of,
+    light_importance,
+    start_chosen_ray,
+)
+from lumisplat.device.light.light import LIGHT_DIRECTIONAL, LIGHT_HEADLIGHT, LIGHT_POINT, LIGHT_SPOT, sample_light
+from lumisplat.device.light.lobe_lights import Lobe, angular_radius, lobe_at, lobe_importance
+from lumisplat.device.material.bsdf import diffuse_share
+from lumisplat.device.math.color import is_black, luminance
+from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.structs import struct
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import Interaction, LightChoice, ShadingScene, WaveData
+
+VISIBILITY_LIGHTS = 16
+"""Largest number of lights whose visibility is remembered."""
+
+VISIBILITY_MOST = 2.0
+"""Largest visibility that is stored. It exceeds 1 where a part of an extended light is brighter than its centre."""
+
+UNKNOWN_WEIGHT = 0.3
+"""Weight in the choice of a light whose visibility is not remembered."""
+
+MOST = wp.constant(wp.float32(VISIBILITY_MOST))
+UNKNOWN = wp.constant(wp.float32(UNKNOWN_WEIGHT))
+LIGHTS = wp.constant(VISIBILITY_LIGHTS)
+NARROW = wp.constant(wp.float32(0.25))
+"""The highlight of a light wider than this fraction of the lobe's width, in radians over alpha, is sampled."""
+
+LightValues = wp.types.vector(length=VISIBILITY_LIGHTS, dtype=wp.float32)
+
+
+@struct
+class LightVisibility:
+    """Visibilities of all lights at the splat surfaces, or mesh surfaces, of pixels."""
+
+    packed: wp.array2d[wp.uint32]
+    """Visibility of each light by channel, see `pack`; shape (pixels, lights). Empty: none is remembered."""
+    counts: wp.array2d[wp.uint8]
+    """Number of samples in each visibility; 0: the light has no sample yet, and the visibility is a guess."""
+
+
+@struct
+class VisibilitySample:
+    """The sampled light's visibility, for each pixel."""
+
+    light: wp.array[int]
+    """Index of the sampled light; -1: the pixel has no sample."""
+    visibility: wp.array[wp.vec3]
+    """Visibility by channel, 0..`VISIBILITY_MOST`."""
+
+
+BITS_11 = wp.constant(wp.uint32(11))
+BITS_22 = wp.constant(wp.uint32(22))
+LOW_11 = wp.constant(wp.uint32(2047))
+
+
+@wp.func
+def pack(visibility: wp.vec3) -> wp.uint32:
+    """Packs the visibility of a light by channel, 0..`VISIBILITY_MOST`: 11 bits red and green, 10 bits blue.
+
+    0 and 1 are exact.
+    """
+    red = wp.uint32(wp.clamp(1023.0 * visibility[0] + 0.5, 0.0, 2047.0))
+    green = wp.uint32(wp.clamp(1023.0 * visibility[1] + 0.5, 0.0, 2047.0))
+    blue = wp.uint32(wp.clamp(511.0 * visibility[2] + 0.5, 0.0, 1023.0))
+    return red | wp.lshift(green, BITS_11) | wp.lshift(blue, BITS_22)
+
+
+@wp.func
+def unpack(packed: wp.uint32) -> wp.vec3:
+    """Returns the visibility that `pack` has packed."""
+    red = float(packed & LOW_11)
+    green = float(wp.rshift(packed, BITS_11) & LOW_11)
+    blue = float(wp.rshift(packed, BITS_22))
+    return wp.vec3(red / 1023.0, green / 1023.0, blue / 511.0)
+
+
+@wp.func
+def has_visibility(number: int, scene: wp.array[ShadingScene]) -> bool:
+    """Returns whether pixels remember the visibility of light ``number``: a point light, spot, sun or headlight."""
+    if number >= scene[0].settings[0].light_count:
+        return False
+    kind = scene[0].lights[number].kind
+    return kind == LIGHT_POINT or kind == LIGHT_SPOT or kind == LIGHT_DIRECTIONAL or kind == LIGHT_HEADLIGHT  # noqa: PLR1714
+
+
+@wp.func
+def is_remembered(number: int, interaction: Interaction, scene: wp.array[ShadingScene]) -> bool:
+    """Returns whether light ``number`` lights a surface by its visibility.
+
+    Metals whose highlight is narrower than four times the light sample it instead.
+    """
+    if not has_visibility(number, scene):
+        return False
+    lobe = lobe_at(interaction)
+    if lobe.mirrored <= lobe.diffuse:
+        return True
+    return angular_radius(number, interaction.position, scene) <= NARROW * lobe.alpha
+
+
+@wp.func
+def sample_variance(visibility: float, count: float) -> float:
+    """Returns the variance of shadow rays of which ``count`` had the mean ``visibility``, by Laplace's rule."""
+    share = (wp.clamp(visibility, 0.0, 1.0) * count + 1.0) / (count + 2.0)
+    return share * (1.0 - share)
+
+
+@wp.func
+def choice_weight(
+    number: int,
+    pixel: int,
+    interaction: Interaction,
+    lobe: Lobe,
+    remembered: LightVisibility,
+    scene: wp.array[ShadingScene],
+) -> float:
+    """Returns the relative probability with which light ``number`` is sampled: unshadowed light times doubt."""
+    importance = light_importance(number, interaction.position, interaction.normal, scene)
+    if lobe.mirrored > lobe.diffuse:
+        importance = lobe_importance(number, importance, interaction, lobe, scene)
+    if not is_remembered(number, interaction, scene):
+        return UNKNOWN * importance
+    count = float(remembered.counts[pixel, number])
+    variance = sample_variance(luminance(unpack(remembered.packed[pixel, number])), count)
+    return wp.sqrt(variance / (count + 1.0)) * importance
+
+
+@wp.func
+def doubtful_light(
+    u: float, pixel: int, interaction: Interaction, remembered: LightVisibility, scene: wp.array[ShadingScene]
+) -> LightChoice:
+    """Chooses a light in proportion to its unshadowed light times the doubt about its visibility; -1: none."""
+    choice = LightChoice()
+    choice.number = -1
+    lobe = lobe_at(interaction)
+    weights = LightValues()
+    total = float(0.0)
+    count = choice_count(scene)
+    for number in range(count):
+        if number < LIGHTS:
+            weights[number] = choice_weight(number, pixel, interaction, lobe, remembered, scene)
+            total += weights[number]
+    if not (total > 0.0 and total < wp.inf):
+        return choice
+    rest = u * total
+    for number in range(count):
+        if number < LIGHTS:
+            if weights[number] > 0.0 and rest >= 0.0:
+                choice.number = number
+                choice.probability = weights[number] / total
+                rest -= weights[number]
+    return choice
+
+
+@wp.func
+def sample_remembered(
+    i: int,
+    slot: int,
+    choice: LightChoice,
+    interaction: Interaction,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    light_out: PixelLight,
+    rays: RayData,
+):
+    """Samples the visibility of the chosen light and starts its shadow ray; writes what the visibility leaves out."""
+    number = choice.number
+    light = scene[0].lights[number]
+    center = sample_light(light, interaction.position, 0, wp.vec2(0.5))
+    expected = luminance(irradiance_of(interaction, center))
+    at = sobol_2d(branch_key(wave[0].rays.pixel_key[i], POINT_BRANCH), wave[0].rays.sample[i])
+    sample = sample_light(light, interaction.position, scene[0].settings[0].soft, at)
+    left_out = float(1.0)
+    if expected > 0.0:
+        ratio = luminance(irradiance_of(interaction, sample)) / expected
+        kept = wp.min(ratio, MOST)
+        left_out = 1.0 - kept / wp.max(ratio, MOST)
+        if ratio <= MOST:
+            left_out = 0.0
+        light_out.light[i] = number
+        light_out.ratio[i] = kept
+    contribution = contribution_of(interaction, sample, 1.0 / choice.probability)
+    if is_black(contribution.color):
+        return
+    if left_out > 0.0:
+        share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, contribution.direction)
+        diffuse = wp.cw_mul(share, contribution.color)
+        light_out.diffuse[i] = left_out * diffuse
+        light_out.glossy[i] = left_out * (contribution.color - diffuse)
+    if not no_shadows and casts_shadow(number, scene):
+        start_chosen_ray(i, slot, number, contribution, scene, wave, rays)

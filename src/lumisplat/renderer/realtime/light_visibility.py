@@ -1,0 +1,130 @@
+"""Visibility of lights at the surfaces of pixels, remembered from frame to frame.
+
+The method is in docs/method/realtime.md#visibility.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import warp as wp
+
+from lumisplat.config import FilterConfig
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.device.gi.light_visibility import LightVisibility, VisibilitySample
+from lumisplat.device.gi.surfaces import PixelLight
+from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.realtime import light_visibility_kernels as kernels
+from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
+from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
+
+COUNT_MOST = 255.0
+"""Largest number of samples that is counted."""
+
+
+class LightVisibilities:
+    """Remembers the visibility of each light at splat surfaces or mesh surfaces of pixels, and lights them by it.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings of the filters.
+        kind: SPLATS (0) or MESHES (1).
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, kind: int) -> None:
+        self._launcher, self._buffers, self._config, self._kind = launcher, buffers, config, kind
+        self._lights: dict[int, int] = {}
+        """Number of lights in the last even frame (0) and in the last odd one (1)."""
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """Returns the modules of the kernels that this class launches."""
+        return [kernels]
+
+    def reset(self) -> None:
+        """Forgets all visibilities."""
+        self._lights.clear()
+
+    def fetch(self, scene: DeviceScene, surfaces: PixelSurfaces, lights: int, frame: int) -> LightVisibility:
+        """Returns the visibilities of ``lights`` lights at surfaces, from where these were in the frame before."""
+        parity, has_history = frame % 2, 1 - frame % 2 in self._lights
+        self._lights[parity] = lights
+        found = self._visibility(f"{self._kind}.reprojected", scene, lights)
+        before = self._visibility(f"{self._kind}.{1 - parity}", scene, self._lights.get(1 - parity, lights))
+        if not has_history:
+            cast(DeviceArray, before.counts).zero_()
+        inputs = scene.motion.light_before, surfaces.now, surfaces.reprojection, before, found
+        self._run(scene, kernels.reproject_visibility, *inputs)
+        return found
+
+    def update(
+        self,
+        scene: DeviceScene,
+        surfaces: PixelSurfaces,
+        light: PixelLight,
+        rays: RayData,
+        *,
+        visibility: DeviceArray,
+        before: LightVisibility,
+        frame: int,
+    ) -> LightVisibility:
+        """Adds the samples of frame ``frame`` to the visibilities ``before``; returns them smoothed.
+
+        ``visibility`` holds that of the shadow ``rays`` of ``light``.
+        """
+        width, height = scene.image_size
+        sample = self._buffers.struct("visibility.sample", VisibilitySample, width * height)
+        device_array(sample.light).fill_(-1)
+        inputs = self._kind, scene.camera, light, rays, visibility, sample
+        self._launcher.run_banded(kernels.store_visibility, len(rays.t_max), *inputs)
+        lights = self._lights[frame % 2]
+        now = self._visibility(f"{self._kind}.{frame % 2}", scene, lights)
+        inputs = min(float(self._config.frames), COUNT_MOST), surfaces.now, scene.camera
+        inputs = *inputs, scene.shading, sample, before, now
+        self._run(scene, kernels.update_visibility, *inputs)
+        return self._smooth(scene, surfaces, now, lights)
+
+    def _smooth(
+        self, scene: DeviceScene, surfaces: PixelSurfaces, visibility: LightVisibility, lights: int
+    ) -> LightVisibility:
+        """Averages partial visibilities with those of neighbouring pixels, in passes of doubling pixel distance."""
+        for number in range(self._config.passes):
+            smoothed = self._visibility(f"pass{number % 2}", scene, lights)
+            smoothed.counts = visibility.counts
+            inputs = 2**number, surfaces.now, scene.camera, visibility, smoothed
+            self._run(scene, kernels.filter_visibility, *inputs)
+            visibility = smoothed
+        return visibility
+
+    def add(
+        self,
+        scene: DeviceScene,
+        wave: RayWave,
+        surfaces: PixelSurfaces,
+        visibility: LightVisibility,
+        *,
+        layers: tuple[DeviceArray, DeviceArray],
+        no_shadows: bool,
+    ) -> None:
+        """Adds the light whose visibility is remembered to the camera rays, and to diffuse and glossy layers."""
+        inputs = no_shadows, self._kind, scene.camera, scene.shading, wave.data, visibility
+        inputs = *inputs, surfaces.now.footprint, *layers
+        bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
+        self._launcher.run_banded(kernels.add_remembered_light, wave.count, *inputs, bands=bands)
+
+    def _visibility(self, name: str, scene: DeviceScene, lights: int) -> LightVisibility:
+        width, height = scene.image_size
+        found, shape = LightVisibility(), (width * height, lights)
+        for field, dtype in (("packed", wp.uint32), ("counts", wp.uint8)):
+            array = self._buffers.get(f"visibility.{name}.{field}", dtype, width * height * lights)
+            setattr(found, field, array.reshape(shape))
+        return found
+
+    def _run(self, scene: DeviceScene, kernel: Kernel, *inputs: object) -> None:
+        width, height = scene.image_size
+        bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
+        self._launcher.run_banded(kernel, width * height, wp.vec2i(width, height), *inputs, bands=bands)

@@ -1,0 +1,344 @@
+"""Kernels that remember the visibility of lights at pixels, and light surfaces by it.
+
+The method is in docs/method/realtime.md#visibility.
+"""
+
+import warp as wp
+
+from lumisplat.device.camera.pixels import pixel_number
+from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight
+from lumisplat.device.gi.light_visibility import (
+    LIGHTS,
+    LightValues,
+    LightVisibility,
+    VisibilitySample,
+    has_visibility,
+    is_remembered,
+    pack,
+    sample_variance,
+    unpack,
+)
+from lumisplat.device.gi.surfaces import PixelLight, Reprojection, SurfacePixels, is_near, least_cosine, tolerance
+from lumisplat.device.light.direct_light import casts_shadow, irradiance_of
+from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
+from lumisplat.device.light.light import sample_light
+from lumisplat.device.light.lobe_lights import angular_radius, eval_in_pixel, relevant_footprint
+from lumisplat.device.material.bsdf import bsdf_eval, diffuse_share
+from lumisplat.device.math.color import is_black, luminance
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+wp.set_module_options(SHADE_OPTIONS)
+
+CHANGE_SIGMAS = wp.constant(wp.float32(3.0))
+"""A visibility counts as changed if samples around a pixel differ from it by this many standard deviations."""
+
+CERTAIN = wp.constant(wp.float32(0.02))
+"""Visibilities within this distance of 0 and 1 are not filtered."""
+
+CERTAIN_FRAMES = wp.constant(wp.float32(4.0))
+"""Visibilities of fewer samples, but at least one, are always filtered."""
+
+ByLight = wp.types.matrix(shape=(16, 3), dtype=wp.float32)
+
+
+@wp.kernel
+def reproject_visibility(
+    start: int,
+    size: wp.vec2i,
+    light_before: wp.array[int],
+    surfaces: SurfacePixels,
+    reprojection: Reprojection,
+    before: LightVisibility,
+    visibility_out: LightVisibility,
+):
+    """Per pixel: fetches the visibilities from where its surface was in the previous frame."""
+    pixel = start + wp.tid()
+    weights = wp.vec4(0.0)
+    if surfaces.share[pixel] > 0.0:
+        weights = reprojection.weights[pixel]
+    first = reprojection.first[pixel]
+    for light in range(light_before.shape[0]):
+        source = light_before[light]
+        total = float(0.0)
+        count = float(0.0)
+        mean = wp.vec3(0.0)
+        if source >= 0:
+            for number in range(4):
+                if weights[number] > 0.0:
+                    tap = first + number % 2 + (number // 2) * size[0]
+                    samples = float(before.counts[tap, source])
+                    if samples > 0.0:
+                        total += weights[number]
+                        count += weights[number] * samples
+                        mean += weights[number] * unpack(before.packed[tap, source])
+        if total > 0.0:
+            mean = mean / total
+            count = wp.max(wp.round(count / total), 1.0)
+        visibility_out.packed[pixel, light] = pack(mean)
+        visibility_out.counts[pixel, light] = wp.uint8(count)
+
+
+@wp.kernel
+def store_visibility(
+    start: int,
+    slot: int,
+    camera: wp.array[CameraData],
+    light: PixelLight,
+    rays: RayData,
+    visibility: wp.array[wp.vec3],
+    sample_out: VisibilitySample,
+):
+    """Per ray: writes the visibility of its light sample if it is on splat surfaces (``slot`` 0), or meshes (1)."""
+    i = start + wp.tid()
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
+        return
+    sample_out.light[pixel] = -1
+    if light.slot[i] != slot or light.light[i] < 0:
+        return
+    passed = wp.vec3(light.ratio[i])
+    if rays.is_active[i]:
+        passed = light.ratio[i] * visibility[i]
+    sample_out.light[pixel] = light.light[i]
+    sample_out.visibility[pixel] = passed
+
+
+@wp.kernel
+def update_visibility(
+    start: int,
+    size: wp.vec2i,
+    frames_max: float,
+    surfaces: SurfacePixels,
+    camera: wp.array[CameraData],
+    scene: wp.array[ShadingScene],
+    sample: VisibilitySample,
+    before: LightVisibility,
+    visibility_out: LightVisibility,
+):
+    """Per pixel: adds the sample to the visibility of its light, and follows what samples around it show.
+
+    Args:
+        start: Offset added to the thread index.
+        size: Width and height of the images.
+        frames_max: Largest number of samples for which a visibility counts; older samples then fade.
+        surfaces: Surfaces of the pixels.
+        camera: Camera of the frame.
+        scene: The scene.
+        sample: Samples of the frame.
+        before: Reprojected visibilities.
+        visibility_out: Visibilities with the samples.
+    """
+    pixel = start + wp.tid()
+    if surfaces.share[pixel] <= 0.0:
+        return
+    lights = before.packed.shape[1]
+    is_new = bool(False)
+    for number in range(lights):
+        is_new = is_new or (before.counts[pixel, number] == wp.uint8(0) and has_visibility(number, scene))
+    x = pixel % size[0]
+    y = pixel // size[0]
+    extent = surfaces.extent[pixel]
+    tolerated = tolerance(surfaces.distance[pixel], extent, camera)
+    cosine_min = least_cosine(extent)
+    position = surfaces.position[pixel]
+    normal = surfaces.normal[pixel]
+    found = ByLight()
+    held = ByLight()
+    difference = LightValues()
+    variance = LightValues()
+    sampled = LightValues()
+    known = LightValues()
+    shares = surfaces.share
+    positions = surfaces.position
+    normals = surfaces.normal
+    of_light = sample.light
+    of_visibility = sample.visibility
+    packed = before.packed
+    counts = before.counts
+    for row in range(wp.max(y - 2, 0), wp.min(y + 3, size[1])):
+        for column in range(wp.max(x - 2, 0), wp.min(x + 3, size[0])):
+            tap = row * size[0] + column
+            light = of_light[tap]
+            if shares[tap] > 0.0 and (light >= 0 or is_new):
+                if is_near(position, normal, tolerated, cosine_min, positions[tap], normals[tap]):
+                    if light >= 0:
+                        passed = of_visibility[tap]
+                        for channel in range(3):
+                            found[light, channel] = found[light, channel] + passed[channel]
+                        sampled[light] = sampled[light] + 1.0
+                        count = float(counts[tap, light])
+                        if count > 0.0:
+                            mean = luminance(unpack(packed[tap, light]))
+                            difference[light] = difference[light] + luminance(passed) - mean
+                            variance[light] = variance[light] + (1.0 + 1.0 / count) * sample_variance(mean, count)
+                    if is_new:
+                        for number in range(lights):
+                            if counts[tap, number] > wp.uint8(0):
+                                known[number] = known[number] + 1.0
+                                mean_of = unpack(packed[tap, number])
+                                for channel in range(3):
+                                    held[number, channel] = held[number, channel] + mean_of[channel]
+    own = of_light[pixel]
+    for number in range(lights):
+        around = wp.vec3(1.0)
+        if sampled[number] > 0.0:
+            around = wp.vec3(found[number, 0], found[number, 1], found[number, 2]) / sampled[number]
+        count = float(counts[pixel, number])
+        value = unpack(packed[pixel, number])
+        if count <= 0.0:
+            value = around
+            if known[number] > 0.0:
+                value = wp.vec3(held[number, 0], held[number, 1], held[number, 2])
+                value = (value + sampled[number] * around) / (known[number] + sampled[number])
+        else:
+            by_chance = CHANGE_SIGMAS * wp.sqrt(variance[number])
+            distance = wp.abs(difference[number])
+            if distance > by_chance:
+                ratio = by_chance / distance
+                retained = ratio * ratio * ratio * ratio
+                count *= retained
+                value += (1.0 - retained) * (sampled[number] / (sampled[number] + 1.0)) * (around - value)
+        if own == number:
+            value += (of_visibility[pixel] - value) / (count + 1.0)
+            count = wp.min(count + 1.0, frames_max)
+        if not has_visibility(number, scene):
+            value = wp.vec3(0.0)
+            count = CERTAIN_FRAMES  # nothing to smooth
+        visibility_out.packed[pixel, number] = pack(value)
+        visibility_out.counts[pixel, number] = wp.uint8(wp.round(count))
+
+
+@wp.func
+def mean_variance(visibility: wp.vec3, count: float) -> float:
+    """Returns the variance of a mean visibility over ``count`` samples."""
+    return sample_variance(luminance(visibility), count) / wp.max(count, 1.0)
+
+
+@wp.kernel
+def filter_visibility(
+    start: int,
+    size: wp.vec2i,
+    step: int,
+    surfaces: SurfacePixels,
+    camera: wp.array[CameraData],
+    visibility: LightVisibility,
+    visibility_out: LightVisibility,
+):
+    """Per pixel: averages partial visibilities with those of 3 x 3 pixels at distance ``step`` on the same surface.
+
+    Weights are those of the light filter. ``counts`` are only read, from ``visibility``.
+    """
+    pixel = start + wp.tid()
+    if surfaces.share[pixel] <= 0.0:
+        return
+    lights = visibility.packed.shape[1]
+    variance = LightValues()
+    total = LightValues()
+    sums = ByLight()
+    is_partial = bool(False)
+    for number in range(lights):
+        value = unpack(visibility.packed[pixel, number])
+        count = float(visibility.counts[pixel, number])
+        visibility_out.packed[pixel, number] = visibility.packed[pixel, number]
+        bright = luminance(value)
+        is_known = count > 0.0  # else it is a mean over neighbours already
+        if is_known and (count < CERTAIN_FRAMES or (bright > CERTAIN and bright < 1.0 - CERTAIN)):
+            is_partial = True
+            variance[number] = mean_variance(value, count)
+            total[number] = 1.0
+            for channel in range(3):
+                sums[number, channel] = value[channel]
+    if not is_partial:
+        return
+    x = pixel % size[0]
+    y = pixel // size[0]
+    position = surfaces.position[pixel]
+    normal = surfaces.normal[pixel]
+    extent = surfaces.extent[pixel]
+    per_distance = 1.0 / tolerance(surfaces.distance[pixel], extent, camera)
+    shares = surfaces.share
+    positions = surfaces.position
+    normals = surfaces.normal
+    packed = visibility.packed
+    counts = visibility.counts
+    for row in range(-1, 2):
+        for column in range(-1, 2):
+            tap_x = x + column * step
+            tap_y = y + row * step
+            tap = tap_y * size[0] + tap_x
+            if tap_x < 0 or tap_x >= size[0] or tap_y < 0 or tap_y >= size[1] or tap == pixel:
+                continue
+            if shares[tap] <= 0.0:
+                continue
+            weight = normal_weight(wp.dot(normal, normals[tap]), extent)
+            weight *= falloff(per_distance * wp.dot(positions[tap] - position, normal))
+            if weight <= WEIGHT_MIN:
+                continue
+            weight *= falloff(0.75 * float(row * row + column * column))
+            for number in range(lights):
+                if total[number] > 0.0:
+                    value = unpack(packed[tap, number])
+                    other = mean_variance(value, float(counts[tap, number]))
+                    distance = luminance(value) - luminance(unpack(packed[pixel, number]))
+                    of_light = weight * luminance_weight(wp.max(float(step), 2.0) * distance, variance[number], other)
+                    total[number] = total[number] + of_light
+                    for channel in range(3):
+                        sums[number, channel] = sums[number, channel] + of_light * value[channel]
+    for number in range(lights):
+        if total[number] > 0.0:
+            mean = wp.vec3(sums[number, 0], sums[number, 1], sums[number, 2]) / total[number]
+            visibility_out.packed[pixel, number] = pack(mean)
+
+
+@wp.kernel
+def add_remembered_light(
+    start: int,
+    no_shadows: bool,
+    slot: int,
+    camera: wp.array[CameraData],
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    remembered: LightVisibility,
+    footprint: wp.array[float],
+    diffuse_inout: wp.array[wp.vec3],
+    glossy_inout: wp.array[wp.vec3],
+):
+    """Per ray: adds the light of all lights whose visibility is remembered to its radiance and to two layers.
+
+    Highlights are widened by the ``footprint`` of the pixel and by the extent of the light.
+    """
+    i = start + wp.tid()
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
+        return
+    j = slot * wave[0].rays.is_active.shape[0] + i
+    if not wave[0].rays.is_active[i] or not wave[0].interactions.exists[j] or wave[0].interactions.shadow_catcher[j]:
+        return
+    interaction = load_interaction(j, wave)
+    of_normals = relevant_footprint(footprint[pixel], interaction)
+    diffuse = wp.vec3(0.0)
+    glossy = wp.vec3(0.0)
+    for number in range(scene[0].settings[0].light_count):
+        if number < LIGHTS and is_remembered(number, interaction, scene):
+            center = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
+            irradiance = interaction.weight * irradiance_of(interaction, center)
+            if not is_black(irradiance):
+                if not no_shadows and casts_shadow(number, scene):
+                    irradiance = wp.cw_mul(irradiance, unpack(remembered.packed[pixel, number]))
+                at_center = bsdf_eval(interaction.bsdf, interaction.normal, interaction.wo, center.direction)
+                share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, center.direction)
+                scattered = wp.cw_mul(share, at_center)
+                radius = 0.5 * angular_radius(number, interaction.position, scene)
+                wide = of_normals + radius * radius
+                in_pixel = at_center
+                if wide > 0.0:
+                    in_pixel = eval_in_pixel(
+                        interaction.bsdf, wide, interaction.normal, interaction.wo, center.direction
+                    )
+                diffuse += wp.cw_mul(scattered, irradiance)
+                glossy += wp.cw_mul(wp.max(in_pixel - scattered, wp.vec3(0.0)), irradiance)
+    wave[0].radiance.light[i] += diffuse + glossy
+    diffuse_inout[i] += diffuse
+    glossy_inout[i] += glossy

@@ -1,0 +1,136 @@
+"""Direct light of lamps and suns in real time, whose visibility is remembered while their light is computed anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.device.gi.light_visibility import VISIBILITY_MOST
+from lumisplat.renderer.scene.motion import lights_before
+from support.probes.probe_visibility_kernels import find_variances, repack
+from support.scenes.path_scenes import as_splats, diffuse, quad
+
+Floats = npt.NDArray[np.float32]
+
+FLOOR = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), diffuse(0.5))
+ABOVE = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=48, height=32, fov_y=0.6)
+
+
+def direct_light(scenes: list[ls.Scene], camera: ls.Camera, **settings: Any) -> list[Floats]:
+    """Returns the direct diffuse light of each frame of a sequence."""
+    real_time = ls.RealtimeConfig(antialiasing=False, **settings)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0, aovs=("direct_diffuse",), realtime=real_time)
+    renderer = ls.create_renderer(config, device="cpu")
+    frames: list[Any] = [renderer.render(scene, camera) for scene in scenes]
+    return [frame.direct_diffuse for frame in frames]
+
+
+def hard(scene: ls.Scene, camera: ls.Camera) -> Floats:
+    """Returns direct light with hard shadows."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, shadows=ls.Shadows.HARD, max_bounces=0)
+    return ls.render(scene, camera, config, device="cpu").color
+
+
+def with_lamp(x: float, intensity: float = 2.0) -> ls.Scene:
+    """Returns a floor under a point light, beside a sun that a shade over the whole floor blocks."""
+    shade = quad((-4, 4, -4), (8, 0, 0), (0, 0, 8), diffuse(0.5))
+    sun = ls.LightDirectional((0.0, -1.0, 0.0), intensity=8.0)
+    return ls.Scene(meshes=[FLOOR, shade], lights=[ls.LightPoint((x, 1.0, 0.0), intensity=intensity), sun])
+
+
+def test_light_of_a_moving_lamp_beside_a_blocked_sun_is_right_in_every_frame() -> None:
+    """Most samples are black, and the lamp moves and brightens; without memory of visibility 7 to 25 % are missing."""
+    still = [with_lamp(-0.6)] * 24
+    moving = [with_lamp(-0.6 + 0.05 * k, 2.0 * 1.03**k) for k in range(24)]
+    frames = direct_light([*still, *moving], ABOVE)[-24:]
+    for scene, frame in zip(moving, frames, strict=True):
+        truth = hard(scene, ABOVE)
+        assert frame.mean() == pytest.approx(truth.mean(), rel=0.005)
+        assert np.abs(frame - truth).mean() < 0.01 * truth.mean()
+
+
+@pytest.mark.parametrize("is_splat", [False, True])
+def test_shadow_of_a_ball_that_jumps_follows_within_four_frames(is_splat: bool) -> None:
+    """Nine tenths of the old shadow are lit, and nine tenths of the new one dark, with two other lamps."""
+    ball = replace(ls.sphere(0.3), material=diffuse(0.5))
+    gaussians = as_splats(ball, 4_000).gaussians
+    scenes: list[ls.Scene] = []
+    for x in (-0.7, 0.7):
+        lamps = [ls.LightPoint((0.0, 2.6, z), intensity=1.0) for z in (-0.3, 0.0, 0.3)]
+        if is_splat:
+            splats = ls.SplatInstance(gaussians, material=ls.MaterialPbr(), position=(x, 1.2, 0.0))
+            scenes.append(ls.Scene(splats=[splats], meshes=[FLOOR], lights=lamps))
+        else:
+            scenes.append(ls.Scene(meshes=[FLOOR, ls.MeshInstance(ball, position=(x, 1.2, 0.0))], lights=lamps))
+    frames = direct_light([scenes[0]] * 24 + [scenes[1]] * 4, ABOVE)
+    before, after = (hard(scene, ABOVE).mean(axis=2) for scene in scenes)
+    now = frames[-1].mean(axis=2)
+    for shadow in ((before < 0.4 * after) & (after > 0.0), (after < 0.4 * before) & (before > 0.0)):
+        assert shadow.sum() > 20
+        gone = (now - before)[shadow].sum() / (after - before)[shadow].sum()
+        assert gone > 0.9
+
+
+def test_a_moving_lamp_that_lights_nothing_changes_no_light_elsewhere() -> None:
+    """Forgetting is local: a lamp moves below the floor while a soft light has a penumbra above."""
+    edge = quad((0, 0.5, -2), (0, 0, 4), (2, 0, 0), diffuse(0.5))
+    soft = ls.LightSphere((0.0, 1.5, 0.0), 0.3, intensity=8.0)
+    lamps = [ls.LightPoint((0.0, -1.0, 0.01 * k), intensity=5.0) for k in range(48)]
+    still = direct_light([ls.Scene(meshes=[FLOOR, edge], lights=[soft, lamps[0]])] * 48, ABOVE)
+    moved = direct_light([ls.Scene(meshes=[FLOOR, edge], lights=[soft, lamp]) for lamp in lamps], ABOVE)
+    mean = np.mean(still[24:], axis=0)
+    noise, with_motion = (np.sqrt(np.mean(np.square(np.array(frames[24:]) - mean))) for frames in (still, moved))
+    assert noise > 0.0
+    assert with_motion < 1.2 * noise
+
+
+def test_coloured_shadows_of_glass_keep_their_colour_in_remembered_visibility() -> None:
+    """Light through red glass is red after 24 frames, as in a frame with one sample of each light."""
+    glass = ls.MaterialPbr(base_color=(0.9, 0.2, 0.2), roughness=0.0, transmission=1.0, ior=1.0)
+    pane = quad((-2, 0.5, -2), (0, 0, 4), (2.1, 0, 0), glass)
+    lit = ls.Scene(meshes=[FLOOR, pane], lights=[ls.LightPoint((0.0, 2.0, 0.0), intensity=3.0)])
+    low = ls.Camera.look_at((0, 0.45, 0.01), (-0.3, 0, 0), (0, 0, -1), width=24, height=16, fov_y=0.2)
+    found = direct_light([lit] * 24, low)[-1].mean(axis=(0, 1))
+    truth = hard(lit, low).mean(axis=(0, 1))
+    assert truth[0] > 2.0 * truth[1] > 0.0
+    np.testing.assert_allclose(found, truth, rtol=0.01)
+
+
+def test_lights_are_recognised_when_others_appear_move_or_swap_places() -> None:
+    """Equal lights correspond, then those of one colour and intensity, then those of one type; others are new."""
+    lamp, other = ls.LightPoint((0, 1, 0), intensity=2.0), ls.LightPoint((0, 2, 0), (1.0, 0.5, 0.2))
+    sun = ls.LightDirectional((0, -1, 0))
+    assert lights_before([lamp, other, sun], [lamp, other, sun]) == [0, 1, 2]
+    assert lights_before([other, sun, lamp], [lamp, other, sun]) == [1, 2, 0]
+    moved = replace(lamp, position=(0.0, 3.0, 0.0))
+    assert lights_before([other, moved, sun], [lamp, other, sun]) == [1, 0, 2]
+    dimmed = replace(moved, intensity=1.0)
+    assert lights_before([other, dimmed], [lamp, other]) == [1, 0]
+    assert lights_before([sun, lamp], [lamp]) == [-1, 0]
+
+
+def test_packed_visibility_is_within_half_a_step_of_the_original() -> None:
+    """Steps are a 1,023rd in red and green, a 511th in blue; 0, 1 and 2 are exact."""
+    values = np.random.default_rng(1).uniform(0.0, VISIBILITY_MOST, (500, 3)).astype(np.float32)
+    values[:3] = [[0.0], [1.0], [VISIBILITY_MOST]]
+    found = wp.zeros(len(values), dtype=wp.vec3, device="cpu")
+    wp.launch(repack, len(values), inputs=[wp.array(values, dtype=wp.vec3, device="cpu"), found], device="cpu")
+    steps = 1.0 / np.array([1023.0, 1023.0, 511.0])
+    assert (np.abs(found.numpy() - values) <= 0.5001 * steps).all()
+    np.testing.assert_array_equal(found.numpy()[:3], values[:3])
+
+
+def test_doubt_about_visibility_falls_with_the_number_of_samples() -> None:
+    """Laplace's rule: 1/4 without samples, and p (1 - p) in the limit."""
+    values, counts = np.array([0.7, 0.0, 0.5, 1.0]), np.array([0.0, 2.0, 1e6, 30.0])
+    found = wp.zeros(4, dtype=float, device="cpu")
+    given = (wp.array(x.astype(np.float32), dtype=float, device="cpu") for x in (values, counts))
+    wp.launch(find_variances, 4, inputs=[*given, found], device="cpu")
+    share = (values * counts + 1.0) / (counts + 2.0)
+    np.testing.assert_allclose(found.numpy(), share * (1.0 - share), rtol=1e-5)
