@@ -12,6 +12,7 @@ from PIL import Image
 
 import lumisplat as ls
 from support.files.cli_files import Workspace
+from support.kinds import present
 
 ROOM = """
 [render]
@@ -177,7 +178,7 @@ def test_fit_with_base_colors_writes_colours_of_a_mesh_to_the_scene_file(work):
     assert done.status == 0, done.err
     scene = ls.load(work.path("a.toml"))
     assert isinstance(scene, ls.Scene)
-    np.testing.assert_allclose(scene.meshes[1].mesh.material.base_color, (0.2, 0.4, 0.7), atol=0.01)
+    np.testing.assert_allclose(present(scene.meshes[1].mesh.material.base_color), (0.2, 0.4, 0.7), atol=0.01)
 
 
 def test_fit_overwrites_a_scene_file_only_with_overwrite(work):
