@@ -12,7 +12,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.gi.light_visibility import VISIBILITY_MOST
-from lumisplat.renderer.scene.motion import lights_before
+from lumisplat.renderer.scene.motion import is_same_light, lights_before
 from support.probes.probe_visibility_kernels import find_variances, repack
 from support.scenes.path_scenes import as_splats, diffuse, quad
 
@@ -113,6 +113,9 @@ def test_lights_are_recognised_when_others_appear_move_or_swap_places() -> None:
     dimmed = replace(moved, intensity=1.0)
     assert lights_before([other, dimmed], [lamp, other]) == [1, 0]
     assert lights_before([sun, lamp], [lamp]) == [-1, 0]
+    now, before = [other, moved, sun], [lamp, other]
+    assert [is_same_light(now, before, *pair) for pair in enumerate((1, 0, -1))] == [True, False, False]
+    assert not is_same_light([], before, 0, 0)  # a headlight replaces missing lights
 
 
 def test_packed_visibility_is_within_half_a_step_of_the_original() -> None:

@@ -57,7 +57,7 @@ class LightVisibilities:
         before = self._visibility(f"{self._kind}.{1 - parity}", scene, self._lights.get(1 - parity, lights))
         if not has_history:
             cast(DeviceArray, before.counts).zero_()
-        inputs = scene.motion.light_before, surfaces.now, surfaces.reprojection, before, found
+        inputs = scene.motion.light_before, scene.motion.light_kept, surfaces.now, surfaces.reprojection, before, found
         self._run(scene, kernels.reproject_visibility, *inputs)
         return found
 

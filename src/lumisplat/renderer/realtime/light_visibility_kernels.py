@@ -34,6 +34,9 @@ wp.set_module_options(SHADE_OPTIONS)
 CHANGE_SIGMAS = wp.constant(wp.float32(3.0))
 """A visibility counts as changed if samples around a pixel differ from it by this many standard deviations."""
 
+MOVED_COUNT = wp.constant(wp.float32(4.0))
+"""Largest number of samples in the visibility of a light that has moved or changed since the previous frame."""
+
 CERTAIN = wp.constant(wp.float32(0.02))
 """Visibilities within this distance of 0 and 1 are not filtered."""
 
@@ -48,6 +51,7 @@ def reproject_visibility(
     start: int,
     size: wp.vec2i,
     light_before: wp.array[int],
+    light_kept: wp.array[int],
     surfaces: SurfacePixels,
     reprojection: Reprojection,
     before: LightVisibility,
@@ -76,6 +80,8 @@ def reproject_visibility(
         if total > 0.0:
             mean = mean / total
             count = wp.max(wp.round(count / total), 1.0)
+            if light_kept[light] == 0:
+                count = wp.min(count, MOVED_COUNT)
         visibility_out.packed[pixel, light] = pack(mean)
         visibility_out.counts[pixel, light] = wp.uint8(count)
 

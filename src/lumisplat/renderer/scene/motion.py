@@ -78,6 +78,8 @@ class Motion:
         still, GONE (-2) if it was removed."""
         self.light_before: wp.array[int]
         """Index in the previous frame of each light; -1: the light is new."""
+        self.light_kept: wp.array[int]
+        """1: the light shines as in the previous frame; 0: it has moved, changed, or is new."""
 
     def sync(
         self,
@@ -108,6 +110,8 @@ class Motion:
         self.moved_to = self._buffers.upload("motion.moved_to", wp.int32, np.array(moved, np.int32))
         lights = lights_before(scene.lights, before.lights) or ([0] if has_headlight else [])
         self.light_before = self._buffers.upload("motion.light_before", wp.int32, np.array(lights, np.int32))
+        kept = [is_same_light(scene.lights, before.lights, *pair) for pair in enumerate(lights)]
+        self.light_kept = self._buffers.upload("motion.light_kept", wp.int32, np.array(kept, np.int32))
         self.history_weight = self._changes.history_weight(scene, has_headlight, captures)
         self._scene, self._camera = scene, camera
         self._positions = positions
@@ -222,6 +226,13 @@ def lights_before(now: Sequence[Light], before: Sequence[Light]) -> list[int]:
                 if numbers[number] >= 0:
                     left.remove(numbers[number])
     return numbers
+
+
+def is_same_light(now: Sequence[Light], before: Sequence[Light], number: int, old: int) -> bool:
+    """Returns whether light ``number`` equals light ``old`` of the previous frame; False for the headlight."""
+    if not 0 <= old < len(before) or number >= len(now):
+        return False
+    return light_values(now[number]) == light_values(before[old])
 
 
 def light_values(light: Light) -> object:
