@@ -400,7 +400,7 @@ def is_near(
     return across <= tolerated
 
 
-# --- Highlights within a pixel and beside it (docs/method/realtime.md#highlights-of-lights) ---
+# --- Highlights within a pixel and beside it (docs/method/realtime.md#highlights-in-pixels) ---
 
 FOOTPRINT = wp.constant(wp.float32(FOOTPRINT_PX2))
 

@@ -167,6 +167,25 @@ def flat_covers(light: LightData, offset: wp.vec3) -> bool:
 
 
 @wp.func
+def towards_flat(light: LightData, offset: wp.vec3, mirrored: wp.vec3) -> wp.vec3:
+    """Returns the vector to the point of a planar light that is nearest, in its plane, to a ray along ``mirrored``.
+
+    The ray starts at the origin, and ``offset`` is the centre of the light.
+    """
+    cosine = -wp.dot(mirrored, light.direction)
+    t = -wp.dot(offset, light.direction) / wp.max(cosine, 1e-3)
+    beside = t * mirrored - offset
+    beside -= wp.dot(beside, light.direction) * light.direction
+    if light.kind == LIGHT_DISK:
+        return offset + wp.min(1.0, light.radius / wp.max(wp.length(beside), TINY)) * beside
+    across = wp.cross(light.edge_u, light.edge_v)
+    area2 = wp.max(wp.dot(across, across), TINY)
+    u = wp.clamp(wp.dot(wp.cross(beside, light.edge_v), across) / area2, -0.5, 0.5)
+    v = wp.clamp(wp.dot(wp.cross(light.edge_u, beside), across) / area2, -0.5, 0.5)
+    return offset + u * light.edge_u + v * light.edge_v
+
+
+@wp.func
 def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
     """Samples a rectangle or disk light at its centre or, if soft, at a random point, uniform in area.
 

@@ -1,7 +1,7 @@
 """Lights in the highlights of surfaces: which light is chosen, and samples from lobe and light combined.
 
 Real-time rendering takes one light sample per pixel. In a narrow highlight, a light is important if it lies there, and
-a light that fills the highlight is better sampled by the highlight (docs/method/realtime.md#lights-in-highlights).
+a light that fills the highlight is better sampled by the highlight (docs/method/realtime.md#direct).
 """
 
 import warp as wp
@@ -16,7 +16,6 @@ from lumisplat.device.light.emitters import (
 )
 from lumisplat.device.light.light import (
     LIGHT_DIRECTIONAL,
-    LIGHT_DISK,
     LIGHT_ENVIRONMENT,
     LIGHT_POINT,
     LIGHT_SPOT,
@@ -24,6 +23,7 @@ from lumisplat.device.light.light import (
     flat_area,
     is_flat,
     light_crossing,
+    towards_flat,
     window,
 )
 from lumisplat.device.material.bsdf import (
@@ -237,25 +237,6 @@ def towards_sphere(offset: wp.vec3, radius: float, mirrored: wp.vec3) -> wp.vec3
     """
     beside = wp.max(wp.dot(offset, mirrored), 0.0) * mirrored - offset
     return offset + wp.min(1.0, radius / wp.max(wp.length(beside), TINY)) * beside
-
-
-@wp.func
-def towards_flat(light: LightData, offset: wp.vec3, mirrored: wp.vec3) -> wp.vec3:
-    """Returns the vector to the point of a planar light that is nearest, in its plane, to a ray along ``mirrored``.
-
-    The ray starts at the origin, and ``offset`` is the centre of the light.
-    """
-    cosine = -wp.dot(mirrored, light.direction)
-    t = -wp.dot(offset, light.direction) / wp.max(cosine, 1e-3)
-    beside = t * mirrored - offset
-    beside -= wp.dot(beside, light.direction) * light.direction
-    if light.kind == LIGHT_DISK:
-        return offset + wp.min(1.0, light.radius / wp.max(wp.length(beside), TINY)) * beside
-    across = wp.cross(light.edge_u, light.edge_v)
-    area2 = wp.max(wp.dot(across, across), TINY)
-    u = wp.clamp(wp.dot(wp.cross(beside, light.edge_v), across) / area2, -0.5, 0.5)
-    v = wp.clamp(wp.dot(wp.cross(light.edge_u, beside), across) / area2, -0.5, 0.5)
-    return offset + u * light.edge_u + v * light.edge_v
 
 
 @wp.func
