@@ -47,7 +47,7 @@ LightValues = wp.types.vector(length=VISIBILITY_LIGHTS, dtype=wp.float32)
 class LightVisibility:
     """Visibilities of all lights at the splat surfaces, or mesh surfaces, of pixels."""
 
-    packed: wp.array2d[wp.uint32]
+    packed: wp.array2d[wp.uint64]
     """Visibility of each light by channel, see `pack`; shape (pixels, lights). Empty: none is remembered."""
     counts: wp.array2d[wp.uint8]
     """Number of samples in each visibility; 0: the light has no sample yet, and the visibility is a guess."""
@@ -63,30 +63,29 @@ class VisibilitySample:
     """Visibility by channel, 0..`VISIBILITY_MOST`."""
 
 
-BITS_11 = wp.constant(wp.uint32(11))
-BITS_22 = wp.constant(wp.uint32(22))
-LOW_11 = wp.constant(wp.uint32(2047))
+BITS_21 = wp.constant(wp.uint64(21))
+BITS_42 = wp.constant(wp.uint64(42))
+LOW_21 = wp.constant(wp.uint64(2097151))
+STEPS = wp.constant(wp.float32(1048575.0))
+"""Number of steps from 0 to 1; `VISIBILITY_MOST` is twice as many."""
 
 
 @wp.func
-def pack(visibility: wp.vec3) -> wp.uint32:
-    """Packs the visibility of a light by channel, 0..`VISIBILITY_MOST`: 11 bits red and green, 10 bits blue.
-
-    0 and 1 are exact.
-    """
-    red = wp.uint32(wp.clamp(1023.0 * visibility[0] + 0.5, 0.0, 2047.0))
-    green = wp.uint32(wp.clamp(1023.0 * visibility[1] + 0.5, 0.0, 2047.0))
-    blue = wp.uint32(wp.clamp(511.0 * visibility[2] + 0.5, 0.0, 1023.0))
-    return red | wp.lshift(green, BITS_11) | wp.lshift(blue, BITS_22)
+def pack(visibility: wp.vec3) -> wp.uint64:
+    """Packs the visibility of a light by channel, 0..`VISIBILITY_MOST`, 21 bits each; 0 and 1 are exact."""
+    red = wp.uint64(STEPS * wp.clamp(visibility[0], 0.0, MOST) + 0.5)
+    green = wp.uint64(STEPS * wp.clamp(visibility[1], 0.0, MOST) + 0.5)
+    blue = wp.uint64(STEPS * wp.clamp(visibility[2], 0.0, MOST) + 0.5)
+    return red | wp.lshift(green, BITS_21) | wp.lshift(blue, BITS_42)
 
 
 @wp.func
-def unpack(packed: wp.uint32) -> wp.vec3:
+def unpack(packed: wp.uint64) -> wp.vec3:
     """Returns the visibility that `pack` has packed."""
-    red = float(packed & LOW_11)
-    green = float(wp.rshift(packed, BITS_11) & LOW_11)
-    blue = float(wp.rshift(packed, BITS_22))
-    return wp.vec3(red / 1023.0, green / 1023.0, blue / 511.0)
+    red = float(packed & LOW_21)
+    green = float(wp.rshift(packed, BITS_21) & LOW_21)
+    blue = float(wp.rshift(packed, BITS_42) & LOW_21)
+    return wp.vec3(red / STEPS, green / STEPS, blue / STEPS)
 
 
 @wp.func

@@ -119,7 +119,7 @@ class LightVisibilities:
     def _visibility(self, name: str, scene: DeviceScene, lights: int) -> LightVisibility:
         width, height = scene.image_size
         found, shape = LightVisibility(), (width * height, lights)
-        for field, dtype in (("packed", wp.uint32), ("counts", wp.uint8)):
+        for field, dtype in (("packed", wp.uint64), ("counts", wp.uint8)):
             array = self._buffers.get(f"visibility.{name}.{field}", dtype, width * height * lights)
             setattr(found, field, array.reshape(shape))
         return found

@@ -51,6 +51,9 @@ class PixelLights:
             LightVisibilities(launcher, buffers, config.realtime.filter, kind) for kind in (SPLATS, MESHES)
         ]
 
+        self.remembers = False
+        """True if the last frame lit surfaces by the remembered visibility of lights."""
+
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the modules of the kernels that this class launches in a frame."""
         modules: list[KernelModule] = [pixel_light_kernels, *self._grids.modules(), *LightVisibilities.modules()]
@@ -100,6 +103,7 @@ class PixelLights:
         self._launcher.run_banded(pixel_light_kernels.number_samples, count, *inputs)
         grid = self._grids.of_wave(scene, wave)
         lights = 0 if self._grids.is_needed(scene) else len(scene.motion.light_before)
+        self.remembers = lights > 0
         if lights == 0:
             self.reset()
         remembered = [LightVisibility(), LightVisibility()]

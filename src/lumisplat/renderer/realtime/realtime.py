@@ -161,8 +161,12 @@ class RealtimeIntegrator:
             layers = self._begin_layers(wave)
             surfaces = self._gbuffer.store(scene, wave, number)
         with frame_pass("direct"):
+            remembered = self._lights.remembers
             of_direct = layers["direct_diffuse"], layers["direct_glossy"]
             direct = self._lights.sample(scene, plan, wave, surfaces, layers=of_direct, frame=number)
+            if remembered != self._lights.remembers:  # histories hold the light of other lights
+                for kind in (SPLATS, MESHES):
+                    self._filters["direct", kind].reset()
         lobes = None
         if self._bounces:
             with frame_pass("indirect"):
