@@ -108,7 +108,9 @@ class Motion:
         numbers = [*splats, *(None if number is None else len(before.splats) + number for number in meshes)]
         moved = moved_to(asset_transforms(scene), asset_transforms(before), numbers)
         self.moved_to = self._buffers.upload("motion.moved_to", wp.int32, np.array(moved, np.int32))
-        lights = lights_before(scene.lights, before.lights) or ([0] if has_headlight else [])
+        lights = lights_before(scene.lights, before.lights)
+        if has_headlight:
+            lights = [-1 if before.lights else 0]
         self.light_before = self._buffers.upload("motion.light_before", wp.int32, np.array(lights, np.int32))
         kept = [is_same_light(scene.lights, before.lights, *pair) for pair in enumerate(lights)]
         self.light_kept = self._buffers.upload("motion.light_kept", wp.int32, np.array(kept, np.int32))
