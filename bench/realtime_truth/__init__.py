@@ -1,4 +1,4 @@
-"""Measures real-time frames against path tracing: bias in still scenes, and lag after changes.
+"""Measures real-time frames against path tracing: bias in still scenes, in motion, and lag after changes.
 
 Each module is a command, ``python -m bench.realtime_truth.bias`` for instance, and prints a table with the targets.
 """

@@ -1,10 +1,10 @@
-"""Measures real-time frames against path tracing while lamps and a figure move, and after they stop (20 minutes).
+"""Measures real-time frames against path tracing while lamps and a figure move, and after they stop (10 minutes).
 
 ``python -m bench.realtime_truth.motion`` renders the moving demo room, 24 frames a second: 48 still frames, 48 frames
 of motion, and 24 frames after its end. The table shows, at rest, in the middle and at the end of the motion and some
-frames after it, the signed mean error of each layer and the largest error of 16 x 16 pixel blocks, and the PSNR of
-the tone-mapped frame without the truth's noise. Targets: 33 dB at rest, 30 dB in motion; mean errors of 2 % direct,
-4 % indirect and 8 % glossy.
+frames after it, the PSNR of the tone-mapped frame without the truth's noise, and the errors of each layer: signed
+mean, and root mean square and largest of 16 x 16 pixel blocks. Targets: 33 dB at rest, 30 dB in motion; mean errors of
+2 % direct, 4 % indirect and 8 % glossy.
 
 ``--save`` writes the frames beside their truths. ``--truths`` keeps the path-traced frames.
 """

@@ -111,7 +111,7 @@ class AlphaMode(Enum):
 
 
 class SurfaceValues(NamedTuple):
-    """What a `MaterialPbr` gives a surface: its values, or factors on values that a splat set has of its own."""
+    """Holds what a `MaterialPbr` gives a surface: its values, or factors on a splat set's own values."""
 
     base_color: Color
     metallic: float

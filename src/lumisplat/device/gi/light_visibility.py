@@ -6,6 +6,7 @@ Unshadowed light of lamps and suns is computed anew in each frame; only its visi
 
 import warp as wp
 
+from lumisplat.constants import GRID_LIGHTS
 from lumisplat.device.gi.surfaces import PixelLight
 from lumisplat.device.light.direct_light import (
     POINT_BRANCH,
@@ -25,9 +26,6 @@ from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Interaction, LightChoice, ShadingScene, WaveData
 
-VISIBILITY_LIGHTS = 16
-"""Largest number of lights whose visibility is remembered."""
-
 VISIBILITY_MOST = 2.0
 """Largest visibility that is stored. It exceeds 1 where a part of an extended light is brighter than its centre."""
 
@@ -36,11 +34,12 @@ UNKNOWN_WEIGHT = 0.3
 
 MOST = wp.constant(wp.float32(VISIBILITY_MOST))
 UNKNOWN = wp.constant(wp.float32(UNKNOWN_WEIGHT))
-LIGHTS = wp.constant(VISIBILITY_LIGHTS)
 NARROW = wp.constant(wp.float32(0.25))
 """The highlight of a light wider than this fraction of the lobe's width, in radians over alpha, is sampled."""
 
-LightValues = wp.types.vector(length=VISIBILITY_LIGHTS, dtype=wp.float32)
+LightValues = wp.types.vector(length=GRID_LIGHTS, dtype=wp.float32)
+
+LightColors = wp.types.matrix(shape=(GRID_LIGHTS, 3), dtype=wp.float32)
 
 
 @struct
@@ -142,7 +141,7 @@ def choice_weight(
 def doubtful_light(
     u: float, pixel: int, interaction: Interaction, remembered: LightVisibility, scene: wp.array[ShadingScene]
 ) -> LightChoice:
-    """Chooses a light in proportion to its unshadowed light times the doubt about its visibility; -1: none."""
+    """Chooses one of at most `GRID_LIGHTS` lights, in proportion to its unshadowed light times doubt; -1: none."""
     choice = LightChoice()
     choice.number = -1
     lobe = lobe_at(interaction)
@@ -150,18 +149,16 @@ def doubtful_light(
     total = float(0.0)
     count = choice_count(scene)
     for number in range(count):
-        if number < LIGHTS:
-            weights[number] = choice_weight(number, pixel, interaction, lobe, remembered, scene)
-            total += weights[number]
+        weights[number] = choice_weight(number, pixel, interaction, lobe, remembered, scene)
+        total += weights[number]
     if not (total > 0.0 and total < wp.inf):
         return choice
     rest = u * total
     for number in range(count):
-        if number < LIGHTS:
-            if weights[number] > 0.0 and rest >= 0.0:
-                choice.number = number
-                choice.probability = weights[number] / total
-                rest -= weights[number]
+        if weights[number] > 0.0 and rest >= 0.0:
+            choice.number = number
+            choice.probability = weights[number] / total
+            rest -= weights[number]
     return choice
 
 
@@ -187,12 +184,9 @@ def sample_remembered(
     left_out = float(1.0)
     if expected > 0.0:
         ratio = luminance(irradiance_of(interaction, sample)) / expected
-        kept = wp.min(ratio, MOST)
-        left_out = 1.0 - kept / wp.max(ratio, MOST)
-        if ratio <= MOST:
-            left_out = 0.0
+        left_out = 1.0 - MOST / wp.max(ratio, MOST)
         light_out.light[i] = number
-        light_out.ratio[i] = kept
+        light_out.ratio[i] = wp.min(ratio, MOST)
     contribution = contribution_of(interaction, sample, 1.0 / choice.probability)
     if is_black(contribution.color):
         return

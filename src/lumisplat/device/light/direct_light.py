@@ -501,16 +501,58 @@ def sample_chosen_environment(
 
 
 @wp.func
+def resampled_emitter(
+    interaction: Interaction, key: wp.uint32, index: int, scene: wp.array[ShadingScene]
+) -> LightSample:
+    """Samples the emissive triangles as a light: one of several points, chosen by its unshadowed irradiance.
+
+    Points chosen by power alone are rare and bright beside a small triangle. Resampled importance sampling (Talbot et
+    al. 2005) keeps the mean. ``index`` is the number of the pixel's sample; the sample's ``pdf`` is 0.
+    """
+    points = branch_key(key, POINT_BRANCH)
+    triangles = branch_key(key, EMITTER_BRANCH)
+    rest = sobol_2d(branch_key(key, CHOICE_BRANCH), index)[1]
+    chosen = LightSample()
+    total = float(0.0)
+    weight = float(0.0)
+    candidates = int(CANDIDATES)  # a variable, so that Warp does not unroll the loop
+    for candidate in range(candidates):
+        number = candidates * index + candidate
+        which = sobol_2d(triangles, number)[0]
+        sample = sample_emitter(interaction.position, sobol_2d(points, number), which, scene)
+        found = luminance(irradiance_of(interaction, sample))
+        if found > 0.0 and found < wp.inf:
+            total += found
+            chance = found / total
+            if rest < chance:
+                chosen = sample
+                weight = found
+                rest = rest / chance
+            else:
+                rest = (rest - chance) / (1.0 - chance)
+    chosen.pdf = 0.0
+    if weight > 0.0:
+        chosen.irradiance = (total / (float(CANDIDATES) * weight)) * chosen.irradiance
+    return chosen
+
+
+@wp.func
 def sample_light_or_lobe(
-    choice: LightChoice, interaction: Interaction, u: wp.vec2, which: float, scene: wp.array[ShadingScene]
+    choice: LightChoice, interaction: Interaction, key: wp.uint32, index: int, scene: wp.array[ShadingScene]
 ) -> Contribution:
     """Samples the selected light, not the environment; the contribution is divided by the selection probability.
 
-    ``u[0]`` selects whether the light or the highlight samples the direction, with the probability of ``lobe_chance``;
-    the balance heuristic (Veach and Guibas 1995) for one sample weights both. ``u`` and ``which`` are random, 0..1.
+    Either the light or, with the probability of ``lobe_chance``, the highlight samples the direction; the balance
+    heuristic (Veach and Guibas 1995) for one sample weights both. Where highlights do not sample emissive triangles,
+    these are resampled. ``index`` is the number of the pixel's sample.
     """
+    u = sobol_2d(branch_key(key, POINT_BRANCH), index)
+    which = sobol_2d(branch_key(key, CHOICE_BRANCH), index)[1]
     chance = lobe_chance(choice.number, interaction, scene)
     if chance <= 0.0:
+        if choice.number == scene[0].settings[0].light_count:
+            resampled = resampled_emitter(interaction, key, index, scene)
+            return contribution_of(interaction, resampled, 1.0 / choice.probability)
         return sample_chosen(choice, interaction, u, which, False, scene).contribution
     lobe = highlight_of(interaction.bsdf)
     sample = LightSample()
@@ -555,42 +597,6 @@ def start_chosen_ray(
 
 
 @wp.func
-def resampled_emitter(
-    interaction: Interaction, key: wp.uint32, index: int, scene: wp.array[ShadingScene]
-) -> LightSample:
-    """Samples the emissive triangles as a light: one of several points, chosen by its unshadowed irradiance.
-
-    Points chosen by power alone are rare and bright beside a small triangle. Resampled importance sampling (Talbot et
-    al. 2005) keeps the mean. ``index`` is the number of the pixel's sample; the sample's ``pdf`` is 0.
-    """
-    points = branch_key(key, POINT_BRANCH)
-    triangles = branch_key(key, EMITTER_BRANCH)
-    rest = sobol_2d(branch_key(key, CHOICE_BRANCH), index)[1]
-    chosen = LightSample()
-    total = float(0.0)
-    weight = float(0.0)
-    candidates = int(CANDIDATES)  # a variable, so that Warp does not unroll the loop
-    for candidate in range(candidates):
-        number = candidates * index + candidate
-        which = sobol_2d(triangles, number)[0]
-        sample = sample_emitter(interaction.position, sobol_2d(points, number), which, scene)
-        found = luminance(irradiance_of(interaction, sample))
-        if found > 0.0 and found < wp.inf:
-            total += found
-            chance = found / total
-            if rest < chance:
-                chosen = sample
-                weight = found
-                rest = rest / chance
-            else:
-                rest = (rest - chance) / (1.0 - chance)
-    chosen.pdf = 0.0
-    if weight > 0.0:
-        chosen.irradiance = (total / (float(CANDIDATES) * weight)) * chosen.irradiance
-    return chosen
-
-
-@wp.func
 def sample_choice(
     i: int,
     slot: int,
@@ -613,11 +619,8 @@ def sample_choice(
     contribution = Contribution()
     if is_environment(choice.number, scene):
         contribution = sample_chosen_environment(choice, interaction, u, which, scene)
-    elif choice.number == scene[0].settings[0].light_count and lobe_chance(choice.number, interaction, scene) <= 0.0:
-        resampled = resampled_emitter(interaction, key, sample, scene)
-        contribution = contribution_of(interaction, resampled, 1.0 / choice.probability)
     else:
-        contribution = sample_light_or_lobe(choice, interaction, u, which, scene)
+        contribution = sample_light_or_lobe(choice, interaction, key, sample, scene)
     if is_black(contribution.color) or no_shadows or not casts_shadow(choice.number, scene):
         return contribution
     start_chosen_ray(i, slot, choice.number, contribution, scene, wave, rays)

@@ -156,7 +156,7 @@ def eval_in_pixel(bsdf: Bsdf, footprint: float, normal: wp.vec3, view: wp.vec3, 
 
 @struct
 class Lobe:
-    """What the choice and the sampling of lights need to know of a surface's highlight."""
+    """Describes a surface's highlight, as far as the choice and the sampling of lights depend on it."""
 
     mirrored: float
     """Albedo of the highlight and clearcoat, mean over channels; 0: there is no highlight that samples lights."""

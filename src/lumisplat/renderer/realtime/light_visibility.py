@@ -5,7 +5,7 @@ The method is in docs/method/realtime.md#visibility.
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Any, cast
 
 import warp as wp
 
@@ -18,7 +18,7 @@ from lumisplat.renderer.realtime import light_visibility_kernels as kernels
 from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 COUNT_MOST = 255.0
@@ -49,13 +49,20 @@ class LightVisibilities:
         """Forgets all visibilities."""
         self._lights.clear()
 
-    def fetch(self, scene: DeviceScene, surfaces: PixelSurfaces, lights: int, frame: int) -> LightVisibility:
-        """Returns the visibilities of ``lights`` lights at surfaces, from where these were in the frame before."""
-        parity, has_history = frame % 2, 1 - frame % 2 in self._lights
+    def lights_before(self, parity: int) -> int:
+        """Returns the number of lights that the frame before one of this parity has stored; 0: no history."""
+        return self._lights.get(1 - parity, 0)
+
+    def begin_frame(self, lights: int, parity: int) -> None:
+        """Begins a frame with this number of lights, on the host also where a CUDA graph is replayed."""
         self._lights[parity] = lights
+
+    def fetch(self, scene: DeviceScene, surfaces: PixelSurfaces, parity: int) -> LightVisibility:
+        """Returns the visibilities of lights at surfaces, from where these were in the frame before."""
+        lights, lights_before = self._lights[parity], self.lights_before(parity)
         found = self._visibility(f"{self._kind}.reprojected", scene, lights)
-        before = self._visibility(f"{self._kind}.{1 - parity}", scene, self._lights.get(1 - parity, lights))
-        if not has_history:
+        before = self._visibility(f"{self._kind}.{1 - parity}", scene, lights_before or lights)
+        if lights_before == 0:
             cast(DeviceArray, before.counts).zero_()
         inputs = scene.motion.light_before, scene.motion.light_kept, surfaces.now, surfaces.reprojection, before, found
         self._run(scene, kernels.reproject_visibility, *inputs)
@@ -70,19 +77,18 @@ class LightVisibilities:
         *,
         visibility: DeviceArray,
         before: LightVisibility,
-        frame: int,
+        parity: int,
     ) -> LightVisibility:
-        """Adds the samples of frame ``frame`` to the visibilities ``before``; returns them smoothed.
+        """Adds the samples of a frame of this parity to the visibilities ``before``; returns them smoothed.
 
         ``visibility`` holds that of the shadow ``rays`` of ``light``.
         """
         width, height = scene.image_size
         sample = self._buffers.struct("visibility.sample", VisibilitySample, width * height)
-        device_array(sample.light).fill_(-1)
         inputs = self._kind, scene.camera, light, rays, visibility, sample
         self._launcher.run_banded(kernels.store_visibility, len(rays.t_max), *inputs)
-        lights = self._lights[frame % 2]
-        now = self._visibility(f"{self._kind}.{frame % 2}", scene, lights)
+        lights = self._lights[parity]
+        now = self._visibility(f"{self._kind}.{parity}", scene, lights)
         inputs = min(float(self._config.frames), COUNT_MOST), surfaces.now, scene.camera
         inputs = *inputs, scene.shading, sample, before, now
         self._run(scene, kernels.update_visibility, *inputs)
@@ -92,8 +98,11 @@ class LightVisibilities:
         self, scene: DeviceScene, surfaces: PixelSurfaces, visibility: LightVisibility, lights: int
     ) -> LightVisibility:
         """Averages partial visibilities with those of neighbouring pixels, in passes of doubling pixel distance."""
+        width, height = scene.image_size
         for number in range(self._config.passes):
-            smoothed = self._visibility(f"pass{number % 2}", scene, lights)
+            smoothed = LightVisibility()
+            packed = self._buffers.get(f"visibility.pass{number % 2}", wp.uint64, width * height * lights)
+            smoothed.packed = cast(Any, packed.reshape((width * height, lights)))
             smoothed.counts = visibility.counts
             inputs = 2**number, surfaces.now, scene.camera, visibility, smoothed
             self._run(scene, kernels.filter_visibility, *inputs)

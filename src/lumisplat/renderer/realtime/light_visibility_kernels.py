@@ -8,7 +8,7 @@ import warp as wp
 from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight
 from lumisplat.device.gi.light_visibility import (
-    LIGHTS,
+    LightColors,
     LightValues,
     LightVisibility,
     VisibilitySample,
@@ -42,8 +42,6 @@ CERTAIN = wp.constant(wp.float32(0.02))
 
 CERTAIN_FRAMES = wp.constant(wp.float32(4.0))
 """Visibilities of fewer samples, but at least one, are always filtered."""
-
-ByLight = wp.types.matrix(shape=(16, 3), dtype=wp.float32)
 
 
 @wp.kernel
@@ -150,8 +148,8 @@ def update_visibility(
     cosine_min = least_cosine(extent)
     position = surfaces.position[pixel]
     normal = surfaces.normal[pixel]
-    found = ByLight()
-    held = ByLight()
+    found = LightColors()
+    held = LightColors()
     difference = LightValues()
     variance = LightValues()
     sampled = LightValues()
@@ -242,7 +240,7 @@ def filter_visibility(
     lights = visibility.packed.shape[1]
     variance = LightValues()
     total = LightValues()
-    sums = ByLight()
+    sums = LightColors()
     is_partial = bool(False)
     for number in range(lights):
         value = unpack(visibility.packed[pixel, number])
@@ -327,7 +325,7 @@ def add_remembered_light(
     diffuse = wp.vec3(0.0)
     glossy = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
-        if number < LIGHTS and is_remembered(number, interaction, scene):
+        if is_remembered(number, interaction, scene):
             center = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
             irradiance = interaction.weight * irradiance_of(interaction, center)
             if not is_black(irradiance):

@@ -51,8 +51,8 @@ class PixelLights:
             LightVisibilities(launcher, buffers, config.realtime.filter, kind) for kind in (SPLATS, MESHES)
         ]
 
-        self.remembers = False
-        """True if the last frame lit surfaces by the remembered visibility of lights."""
+        self._remembers = False
+        """True if the frame lights surfaces by the remembered visibility of lights."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the modules of the kernels that this class launches in a frame."""
@@ -78,7 +78,7 @@ class PixelLights:
         surfaces: list[PixelSurfaces],
         *,
         layers: tuple[DeviceArray, DeviceArray],
-        frame: int,
+        parity: int,
     ) -> list[SurfaceLight]:
         """Samples a light for one surface of each pixel that has a sample in this frame.
 
@@ -88,7 +88,7 @@ class PixelLights:
             wave: The camera rays.
             surfaces: Splat surfaces and mesh surfaces of the pixels, as far as the scene has them.
             layers: Layer of diffuse light and layer of glossy light, to which light of remembered visibility is added.
-            frame: Parity of the frame.
+            parity: Parity of the frame, 0 or 1.
 
         Returns:
             Samples on each of ``surfaces``.
@@ -102,32 +102,48 @@ class PixelLights:
         inputs = interval, scene.motion.sequence, scene.camera, wave.data
         self._launcher.run_banded(pixel_light_kernels.number_samples, count, *inputs)
         grid = self._grids.of_wave(scene, wave)
-        lights = 0 if self._grids.is_needed(scene) else len(scene.motion.light_before)
-        self.remembers = lights > 0
-        if lights == 0:
-            self.reset()
         remembered = [LightVisibility(), LightVisibility()]
         with self._launcher.stage("lights"):
-            if lights > 0:
+            if self._remembers:
                 for kind in surfaces:
-                    remembered[kind.kind] = self._visibilities[kind.kind].fetch(scene, kind, lights, frame)
+                    remembered[kind.kind] = self._visibilities[kind.kind].fetch(scene, kind, parity)
             inputs = not plan.casts_shadows, interval, scene.motion.sequence, grid, *remembered, scene.camera
             inputs = *inputs, scene.shading, wave.data, *self._footprints(surfaces), light, rays
             self._run(pixel_light_kernels.sample_lights, count, *inputs)
         visibility = self._visibility(scene, plan, rays)
-        if lights > 0:
+        if self._remembers:
             with self._launcher.stage("visibility"):
                 for kind in surfaces:
                     part, before = self._visibilities[kind.kind], remembered[kind.kind]
-                    now = part.update(scene, kind, light, rays, visibility=visibility, before=before, frame=frame)
+                    now = part.update(scene, kind, light, rays, visibility=visibility, before=before, parity=parity)
                     part.add(scene, wave, kind, now, layers=layers, no_shadows=not plan.casts_shadows)
         self._add_captured(scene, plan, wave, light, rays, visibility=visibility)
         with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
-    def begin_frame(self, frame: int) -> None:
-        """Begins frame ``frame``: writes its number for shadow rays from shadow catchers."""
+    def begin_frame(self, scene: DeviceScene, frame: int) -> bool:
+        """Begins frame ``frame``: writes its number for shadow rays from shadow catchers.
+
+        Returns:
+            True if the filtered samples of earlier frames hold the light of other lights than those of this frame,
+            because only one of both frames remembers the visibility of lights.
+        """
         self._direct_light.begin_sample(frame)
+        before, self._remembers = self._remembers, self._remembered_lights(scene) > 0
+        for visibilities in self._visibilities:
+            if self._remembers:
+                visibilities.begin_frame(self._remembered_lights(scene), frame % 2)
+            else:
+                visibilities.reset()
+        return before != self._remembers
+
+    def graph_key(self, parity: int) -> object:
+        """Returns what a CUDA graph of a frame of this parity contains of the visibilities of the frame before."""
+        return [visibilities.lights_before(parity) for visibilities in self._visibilities]
+
+    def _remembered_lights(self, scene: DeviceScene) -> int:
+        """Returns the number of lights, some of whose visibility is remembered; 0 if surfaces use the light grid."""
+        return 0 if self._grids.is_needed(scene) else len(scene.motion.light_before)
 
     def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
         """Darkens shadow catchers where lights are blocked.

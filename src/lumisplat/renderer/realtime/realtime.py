@@ -117,7 +117,9 @@ class RealtimeIntegrator:
         if self._size != size:
             self._restart(size)
         self._shadows.begin_sample(sample)
-        self._lights.begin_frame(sample)
+        if self._lights.begin_frame(scene, sample):
+            for kind in (SPLATS, MESHES):
+                self._filters["direct", kind].reset()
         self._mirrors.begin_frame(sample)
         if self._bounces:
             self._indirect.begin_frame(size, sample)
@@ -127,7 +129,8 @@ class RealtimeIntegrator:
         boxes = scene.captured_emitters.boxes
         of_scene = scene.motion.graph_key, None if boxes is None else boxes.shape
         histories = [part.has_history for part in (self._indirect.probes, self._antialiasing, *self._filters.values())]
-        return of_scene, self._mirrors.graph_key, self._gbuffer.kinds_before, histories
+        of_lights = self._lights.graph_key(self.parity)
+        return of_scene, of_lights, self._mirrors.graph_key, self._gbuffer.kinds_before, histories
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
         """Returns the camera rays with their radiance, as a wave, but without diffuse and indirect light.
@@ -161,12 +164,8 @@ class RealtimeIntegrator:
             layers = self._begin_layers(wave)
             surfaces = self._gbuffer.store(scene, wave, number)
         with frame_pass("direct"):
-            remembered = self._lights.remembers
             of_direct = layers["direct_diffuse"], layers["direct_glossy"]
-            direct = self._lights.sample(scene, plan, wave, surfaces, layers=of_direct, frame=number)
-            if remembered != self._lights.remembers:  # histories hold the light of other lights
-                for kind in (SPLATS, MESHES):
-                    self._filters["direct", kind].reset()
+            direct = self._lights.sample(scene, plan, wave, surfaces, layers=of_direct, parity=number)
         lobes = None
         if self._bounces:
             with frame_pass("indirect"):
