@@ -133,7 +133,7 @@ def test_packed_visibility_is_within_half_a_step_of_the_original() -> None:
     np.testing.assert_array_equal(found.numpy()[:3], values[:3])
 
 
-def test_doubt_about_visibility_falls_with_the_number_of_samples() -> None:
+def test_variance_of_shadow_rays_falls_with_the_number_of_samples() -> None:
     """Laplace's rule: 1/4 without samples, and p (1 - p) in the limit."""
     values, counts = np.array([0.7, 0.0, 0.5, 1.0]), np.array([0.0, 2.0, 1e6, 30.0])
     found = wp.zeros(4, dtype=float, device="cpu")

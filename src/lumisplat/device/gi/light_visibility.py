@@ -126,7 +126,7 @@ def choice_weight(
     remembered: LightVisibility,
     scene: wp.array[ShadingScene],
 ) -> float:
-    """Returns the relative probability with which light ``number`` is sampled: unshadowed light times doubt."""
+    """Returns how often light ``number`` is sampled, relative to others: unshadowed light times uncertainty."""
     importance = light_importance(number, interaction.position, interaction.normal, scene)
     if lobe.mirrored > lobe.diffuse:
         importance = lobe_importance(number, importance, interaction, lobe, scene)
@@ -138,10 +138,10 @@ def choice_weight(
 
 
 @wp.func
-def doubtful_light(
+def light_by_uncertainty(
     u: float, pixel: int, interaction: Interaction, remembered: LightVisibility, scene: wp.array[ShadingScene]
 ) -> LightChoice:
-    """Chooses one of at most `GRID_LIGHTS` lights, in proportion to its unshadowed light times doubt; -1: none."""
+    """Chooses one of at most `GRID_LIGHTS` lights, by unshadowed light times uncertainty; -1: none."""
     choice = LightChoice()
     choice.number = -1
     lobe = lobe_at(interaction)

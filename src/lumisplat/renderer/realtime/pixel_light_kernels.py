@@ -7,7 +7,7 @@ import warp as wp
 
 from lumisplat.device.camera.pixels import pixel_number, pixel_of_ray
 from lumisplat.device.gi.light_grid import LightGrid, lit_surface, sample_light_of
-from lumisplat.device.gi.light_visibility import LightVisibility, doubtful_light, is_remembered, sample_remembered
+from lumisplat.device.gi.light_visibility import LightVisibility, is_remembered, light_by_uncertainty, sample_remembered
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
     PixelLight,
@@ -120,7 +120,7 @@ def sample_lights(
     if remembered.counts and pixel >= 0:
         key = branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH)
         u = sobol_2d(key, wave[0].rays.sample[i])
-        choice = doubtful_light(u[0], pixel, interaction, remembered, scene)
+        choice = light_by_uncertainty(u[0], pixel, interaction, remembered, scene)
         if choice.number < 0:
             return
         if is_remembered(choice.number, interaction, scene):
