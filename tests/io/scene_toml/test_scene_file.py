@@ -64,7 +64,7 @@ def test_scene_file_material_overrides_only_the_values_that_it_states(folder: Pa
         '[[meshes]]\npath = "mesh.obj"\n[meshes.material]\nmetallic = 1.0\nbase_color = [0.9, 0.8, 0.7]\n',
     )
     plain, glass, mirror = (pbr_of(instance.mesh) for instance in scene.meshes)
-    assert (plain.roughness, plain.transmission, plain.metallic) == (0.75, 0.0, 0.0)
+    assert (plain.roughness, plain.transmission, plain.metallic) == (0.75, 0.0, None)
     assert (glass.roughness, glass.transmission, glass.ior, glass.specular) == (0.0, 1.0, 1.33, 0.5)
     assert (glass.base_color, glass.name) == ((0.5, 0.25, 1.0), "tin")
     assert (mirror.roughness, mirror.metallic, mirror.base_color) == (0.75, 1.0, (0.9, 0.8, 0.7))

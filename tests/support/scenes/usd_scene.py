@@ -13,7 +13,10 @@ from support.files.splat_files import capture
 
 
 def materials() -> list[ls.MaterialPbr]:
-    """Returns materials with constants only, with textures everywhere, glass, and two kinds of alpha."""
+    """Returns materials with constants only, with textures everywhere, glass, and two kinds of alpha.
+
+    All state colour, metalness and roughness, as files do.
+    """
     rng = np.random.default_rng(3)
     plain, alpha = (rng.integers(0, 256, (4, 6, k), dtype=np.uint8) for k in (3, 4))
     return [
@@ -49,9 +52,17 @@ def materials() -> list[ls.MaterialPbr]:
             clearcoat_roughness_texture=plain,
             wrap_u=ls.TextureWrap.CLAMP,
         ),
-        ls.MaterialPbr(name="glass", roughness=0.0, transmission=0.9, base_color=(0.9, 1.0, 1.0)),
-        ls.MaterialPbr(name="frost", roughness=0.3, transmission=0.9),
-        ls.MaterialPbr(name="veil", alpha_mode=ls.AlphaMode.BLEND, alpha=0.5, base_color_texture=alpha),
+        ls.MaterialPbr(name="glass", base_color=(0.9, 1.0, 1.0), metallic=0.0, roughness=0.0, transmission=0.9),
+        ls.MaterialPbr(name="frost", base_color=(0.7, 0.8, 0.9), metallic=0.0, roughness=0.3, transmission=0.9),
+        ls.MaterialPbr(
+            name="veil",
+            base_color=(1.0, 1.0, 1.0),
+            base_color_texture=alpha,
+            metallic=0.0,
+            roughness=0.6,
+            alpha_mode=ls.AlphaMode.BLEND,
+            alpha=0.5,
+        ),
     ]
 
 
