@@ -12,6 +12,7 @@ from PIL import Image, ImageSequence
 from PIL.GifImagePlugin import GifImageFile
 
 import lumisplat as ls
+from lumisplat.demo.moving import moving_scene
 from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 
@@ -56,3 +57,25 @@ def test_demo_command_writes_an_image_for_each_camera_and_lit_images_beside_them
     np.testing.assert_array_equal(pipelines[0], pipelines[2])  # no surface reflects, so raster and hybrid agree
     assert pipelines[1].mean() > 10.0
     assert not np.array_equal(pipelines[1], pipelines[2])  # thick Gaussians look different along rays
+
+
+def test_demo_command_writes_an_animation_of_the_moving_room(work, monkeypatch):
+    """``--scene moving`` writes 48 frames in which light and figure move, and the one in the middle."""
+    monkeypatch.setattr("lumisplat.cli.commands.demo.moving_scene", lambda time: moving_scene(time, 3_000))
+    outcome = work.run("demo", "-o", "@demo", "--scene", "moving", "--width", "128")
+    assert outcome.status == 0
+    assert {Path(line).name for line in outcome.out.split()} == {"moving.png", "moving.gif"}
+    with Image.open(work.path("demo/moving.gif")) as film:
+        assert isinstance(film, GifImageFile)
+        assert (film.size, film.n_frames) == ((32, 18), 48)
+        frames = [np.asarray(frame.convert("RGB")).astype(int) for frame in ImageSequence.Iterator(film)]
+    assert min(frame.mean() for frame in frames) > 40.0
+    assert np.abs(frames[0] - frames[-1]).max() > 60
+
+
+def test_demo_command_refuses_to_save_assets_of_the_moving_room(work):
+    """Only the still room has files."""
+    outcome = work.run("demo", "-o", "@demo", "--scene", "moving", "--save-assets")
+    assert outcome.status != 0
+    assert "--save-assets writes the still room" in outcome.err
+    assert not work.path("demo").exists()

@@ -136,7 +136,7 @@ MORE_NARROW = {
 """Allowed imports of a top folder or kind of file, where the order of layers alone would allow more."""
 
 
-DOCUMENTED = {"config.setting"}
+DOCUMENTED = {"config.setting", "demo.moving"}
 """Modules that every folder above them may import, including the command line and the viewer."""
 
 

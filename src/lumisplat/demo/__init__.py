@@ -1,1 +1,1 @@
-"""The demo scene: its meshes, textures, lights and captured daylight, all computed from formulas."""
+"""The demo scenes: their meshes, textures, lights and captured daylight, all computed from formulas."""

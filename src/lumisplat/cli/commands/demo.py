@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
@@ -17,6 +17,7 @@ import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, Flag, own_options_first
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.images import check_writable, make_folder, plan_shots
+from lumisplat.demo.moving import DURATION, moving_camera, moving_scene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,11 +34,16 @@ class Demo(DeviceCommand):
     """Write the images into this folder."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Set the image width; lit images are half as wide, the animation a quarter."""
+    scene: Annotated[Literal["room", "moving"], arg(metavar="room|moving")] = "room"
+    """Choose the room at rest, or one where lamps and a figure move, in real time."""
     save_assets: Flag = False
     """Also write demo.ply and transforms.json, to try other commands."""
 
     def run(self) -> None:
         """Builds the scene, and renders and writes its images."""
+        if self.scene == "moving":
+            self._write_moving()
+            return
         cameras = ls.demo_cameras()
         shots = plan_shots([camera.scaled(self.width) for camera in cameras], (), self.output, "png")
         check_writable(self.output)
@@ -62,6 +68,18 @@ class Demo(DeviceCommand):
 
         for path in lit_images(ls.demo_scene_lit(scene), camera, self.output, start, report):
             print(path, flush=True)
+
+    def _write_moving(self) -> None:
+        """Writes ``moving.gif`` and its frame in the middle, ``moving.png``."""
+        if self.save_assets:
+            raise ls.ConfigError("--save-assets writes the still room: leave out --scene moving")
+        check_writable(self.output)
+        with progress_bars() as report:
+            config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, tone_map=ls.ToneMap.NEUTRAL)
+            renderer = self.start_renderer(report, config)
+            make_folder(self.output)
+            for path in moving_images(renderer, self.width or 1280, self.output, report):
+                print(path, flush=True)
 
     def _save_assets(self, scene: ls.Scene, cameras: list[ls.Camera]) -> None:
         ls.save(self.output / "demo.ply", scene.splats[0].gaussians)
@@ -162,6 +180,29 @@ def _swing(scene: ls.Scene, camera: ls.Camera, start: _Start, report: Report) ->
 def _labelled(report: Report, label: str) -> Report:
     """Returns a progress function that passes on fractions with a fixed label, whatever label it receives."""
     return lambda _, share: report(label, share)
+
+
+_STILL_FRAMES = 16
+"""Number of frames of the moving room before it moves, in which light settles."""
+_MOVING_FPS = 24.0
+
+
+def moving_images(renderer: ls.Renderer, width: int, folder: Path, report: Report) -> Iterator[Path]:
+    """Renders and writes ``moving.png`` and ``moving.gif``, a quarter of ``width`` wide; yields each path."""
+    camera = moving_camera(max(16, width // 4), max(9, 9 * width // 64))
+    count = round(_MOVING_FPS * DURATION)
+    pictures: list[npt.NDArray[np.float32]] = []
+    for number in range(-_STILL_FRAMES, count):
+        report("rendering", (number + _STILL_FRAMES) / (count + _STILL_FRAMES))
+        frame = renderer.render(moving_scene(number / _MOVING_FPS), camera)
+        if number >= 0:
+            pictures.append(frame.pixels_srgb())
+        if number == count // 2:
+            frame.save(folder / "moving.png")
+            yield folder / "moving.png"
+    report("rendering", 1.0)
+    ls.save_animation(folder / "moving.gif", pictures, fps=_MOVING_FPS)
+    yield folder / "moving.gif"
 
 
 _COLUMNS = 4
