@@ -1,10 +1,10 @@
 """Measures real-time frames against path tracing while lamps and a figure move, and after they stop (10 minutes).
 
-``python -m bench.realtime_truth.motion`` renders the moving demo room, 24 frames a second: 48 still frames, 48 frames
-of motion, and 24 frames after its end. The table shows, at rest, in the middle and at the end of the motion and some
-frames after it, the PSNR of the tone-mapped frame without the truth's noise, and the errors of each layer: signed
-mean, and root mean square and largest of 16 x 16 pixel blocks. Targets: 33 dB at rest, 30 dB in motion; mean errors of
-2 % direct, 4 % indirect and 8 % glossy.
+``python -m bench.realtime_truth.motion`` renders the moving demo room, or with ``--scene playbot`` a room with a
+captured robot, 24 frames a second: 48 still frames, 48 frames of motion, and 24 frames after its end. The table shows,
+at rest, in the middle and at the end of the motion and some frames after it, the PSNR of the tone-mapped frame without
+the truth's noise, and the errors of each layer: signed mean, and root mean square and largest of 16 x 16 pixel blocks.
+Targets: 33 dB at rest, 30 dB in motion; mean errors of 2 % direct, 4 % indirect and 8 % glossy.
 
 ``--save`` writes the frames beside their truths. ``--truths`` keeps the path-traced frames.
 """
@@ -20,6 +20,7 @@ import numpy as np
 
 import lumisplat as ls
 from bench.realtime_truth.frames import Truth, add_quality, bias, layer_of, log, options, percent, realtime, truth_of
+from bench.realtime_truth.playbot import missing, playbot_camera, playbot_scene
 from bench.realtime_truth.scenes import View
 from bench.timing import print_head
 from lumisplat.demo.moving import COUNT, DURATION, moving_camera, moving_scene
@@ -50,17 +51,27 @@ class Moving:
 
 def moving_room(width: int, count: int = COUNT) -> Moving:
     """Returns the moving demo room."""
-    return Moving("moving room", lambda time: moving_scene(time, count), moving_camera(width, 9 * width // 16))
+    camera = moving_camera(width, 9 * width // 16)
+    return Moving(f"moving room {count}", lambda time: moving_scene(time, count), camera)
+
+
+def playbot(width: int) -> Moving:
+    """Returns the room with the captured robot."""
+    return Moving("playbot", playbot_scene, playbot_camera(width))
 
 
 def main() -> None:
     """Prints the table."""
     asked = options("motion", __doc__, samples=96, width=WIDTH)
-    asked.add_argument("--count", type=int, default=COUNT, help=f"number of Gaussians (default: {COUNT:,})")
+    asked.add_argument("--scene", choices=("room", "playbot"), default="room", help="(default: room)")
+    asked.add_argument("--count", type=int, default=COUNT, help=f"Gaussians of the room (default: {COUNT:,})")
     asked.add_argument("--save", type=Path, metavar="FOLDER", help="writes frames and truths there")
     add_quality(asked)
     given = asked.parse_args()
-    moving = moving_room(given.width, given.count)
+    if given.scene == "playbot" and missing():
+        print(f"playbot: skipped, without {', '.join(missing())} (set LUMISPLAT_DATA)")
+        return
+    moving = playbot(given.width) if given.scene == "playbot" else moving_room(given.width, given.count)
     moments = {0: "at rest", MIDDLE: "in motion", END - 1: "last of the motion"}
     moments |= {END - 1 + count: f"{count} after" for count in AFTER}
     config = realtime(realtime=ls.RealtimeConfig(quality=given.quality))
@@ -77,7 +88,7 @@ def main() -> None:
 def truth_at(moving: Moving, number: int, given: argparse.Namespace) -> Truth:
     """Returns the path-traced truth of a frame."""
     at = min(max(number, 0), END)
-    view = replace(moving.view(at), name=f"{moving.name} {given.count} {at}")
+    view = replace(moving.view(at), name=f"{moving.name} {at}")
     return truth_of(view, given.samples, given.device, given.truths)
 
 
