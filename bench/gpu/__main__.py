@@ -75,7 +75,9 @@ SLICES: dict[str, tuple[Step, ...]] = {
     "paths": (step("demo, path", "frames:demo:path", 120.0), step("samples a second", "frames:path_rate", 120.0)),
     "realtime": (
         step("demo, realtime", "frames:demo:realtime", 120.0),
-        step("moving room", "frames:moving_room", 200.0),
+        step("moving room", "frames:moving:room", 200.0),
+        step("moving demo room", "frames:moving:demo", 200.0),
+        step("one object", "frames:moving:object", 120.0),
     ),
     "training": (
         step("iterations", "training:iterations", 60.0),

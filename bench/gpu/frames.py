@@ -13,7 +13,7 @@ import lumisplat as ls
 from bench.gpu.kernel_times import KernelLauncher
 from bench.gpu.worker import Finding, Setting
 from bench.path_rate import SAMPLES, config as path_config, ray_costs, room, room_view, with_gaussians
-from bench.presets import MovingRoom, Preset, stage_ms, synthetic
+from bench.presets import DemoRoom, MovingRoom, OneObject, Preset, stage_ms, synthetic
 from support.compare.graph_launcher import GraphLauncher
 
 WARM = 4
@@ -194,9 +194,10 @@ def demo(setting: Setting, pipeline: str) -> Iterator[Finding]:
     yield Finding("kernels of a frame", kernel_rows(setting, config, scene, camera))
 
 
-def moving_room(setting: Setting) -> Iterator[Finding]:
-    """Times real-time frames of a room where lights, an instance and the camera move, and what waits for the host."""
-    preset = MovingRoom(0.01 if setting.device == "cpu" else 1.0)
+def moving(setting: Setting, preset_name: str) -> Iterator[Finding]:
+    """Times real-time frames of a scene in motion by pass and by kernel, and what waits for the host."""
+    presets = {"room": MovingRoom, "demo": DemoRoom, "object": OneObject}
+    preset = presets[preset_name](0.01 if setting.device == "cpu" else 1.0)
     camera = preset.camera()
     times = frame_times(setting, preset.config(), lambda number: (preset.scene(number), camera), repeats=30)
     yield from times.findings(preset.title)

@@ -16,7 +16,7 @@ from bench.gpu import training
 from bench.gpu.__main__ import SLICES
 from bench.gpu.report import Step, read_report, run_steps
 from bench.gpu.worker import Setting
-from bench.presets import MovingRoom
+from bench.presets import DemoRoom, MovingRoom, OneObject
 
 import lumisplat as ls
 
@@ -130,3 +130,19 @@ def test_moving_room_has_its_gaussians_in_view_and_moves_lights_and_a_capture() 
     assert moved == [True, False, False, False, False] and now.splats[0].gaussians is later.splats[0].gaussians
     frame = ls.create_renderer(ls.RenderConfig(lighting=False), "cpu").render(later, preset.camera())
     assert frame.stats is not None and frame.stats.visible_count > 0.99 * preset.count
+
+
+@pytest.mark.parametrize(
+    ("kind", "count", "size", "least"),
+    [(DemoRoom, 1_570_000, (1920, 1088), 0.9), (OneObject, 150_000, (1280, 720), 0.97)],
+)
+def test_other_moving_presets_have_their_sizes_and_move_lights(
+    kind: type[MovingRoom], count: int, size: tuple[int, int], least: float
+) -> None:
+    """Nearly all of the Gaussians are in view."""
+    assert (kind().count, kind().size) == (count, size)
+    preset = kind(0.01)
+    now, later = preset.scene(0), preset.scene(10)
+    assert repr(now.lights) != repr(later.lights)
+    frame = ls.create_renderer(ls.RenderConfig(lighting=False), "cpu").render(later, preset.camera())
+    assert frame.stats is not None and frame.stats.visible_count > least * preset.count
