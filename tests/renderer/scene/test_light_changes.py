@@ -24,7 +24,9 @@ GLOWS = ls.MaterialPbr(emissive=(1, 1, 1))
 EMITTER = octahedron((0.9, 0.0, 0.0), 0.2, material=GLOWS)
 SPOT = ls.LightSpot((0.0, 2.0, 0.0), (0.0, -1.0, 0.0), color=(1.0, 0.5, 0.2), intensity=3.0)
 LIT = ls.Scene(
-    [random_gaussians(3)], [octahedron((0.1, 0.0, 0.0), 0.5), EMITTER], [SPOT, ls.LightEnvironment(ENVIRONMENT)]
+    [ls.SplatInstance(random_gaussians(3), material=ls.MaterialPbr(roughness=0.4))],
+    [octahedron((0.1, 0.0, 0.0), 0.5), EMITTER],
+    [SPOT, ls.LightEnvironment(ENVIRONMENT)],
 )
 ELSEWHERE = np.diag([2.0, 2.0, 2.0, 1.0])
 
@@ -43,10 +45,13 @@ def with_environment(**settings: object) -> ls.Scene:
 SAME = {
     "nothing": LIT,
     "equal lights": with_spot(),
+    "equal materials": replace(LIT, splats=[replace(LIT.splats[0], material=ls.MaterialPbr(roughness=0.4))]),
 }
 MOVED = {
     "a mesh that moves": replace(LIT, meshes=[ls.MeshInstance(LIT.meshes[0].mesh, ELSEWHERE), LIT.meshes[1]]),
-    "a capture that moves": replace(LIT, splats=[ls.SplatInstance(LIT.splats[0].gaussians, ELSEWHERE)]),
+    "a capture that moves": replace(
+        LIT, splats=[ls.SplatInstance(LIT.splats[0].gaussians, ELSEWHERE, material=LIT.splats[0].material)]
+    ),
 }
 CHANGED = {
     "a light's position": with_spot(position=(0.0, 2.1, 0.0)),

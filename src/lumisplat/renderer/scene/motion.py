@@ -278,7 +278,7 @@ def write_motion(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> No
 class LightState:
     """A scene's light sources and reflecting objects, in a form that can be compared.
 
-    Arrays and materials are compared by identity, so the scenes of both states must be alive.
+    Large arrays are compared by identity, so the scenes of both states must be alive.
     """
 
     sources: Sequence[object]
@@ -287,8 +287,9 @@ class LightState:
     strengths: list[npt.NDArray[np.float64]]
     """Colour times intensity of each light, by channel, shape (3,) each."""
     other_values: Sequence[object]
-    """Everything else that determines lighting: fields of lights except strength, transforms of emissive objects,
-    materials."""
+    """Everything else that determines lighting: fields of lights except strength, transforms of emissive objects."""
+    materials: Sequence[Material | None]
+    """Material of each instance, splats first."""
     objects: Sequence[object]
     """Gaussian sets and meshes with their transforms: the objects that reflect light and cast shadows."""
 
@@ -319,7 +320,9 @@ class LightChanges:
         now = light_state(scene, has_headlight, captures)
         before, self._before = self._before or now, now
         is_other = has_changed_suddenly(before, now)
-        has_changed = is_other or before.other_values != now.other_values
+        has_changed = (
+            is_other or before.other_values != now.other_values or have_changed(before.materials, now.materials)
+        )
         self._changed_ago = 0 if has_changed else self._changed_ago + 1
         self._moved_ago = 0 if before.objects != now.objects else self._moved_ago + 1
         if is_other:
@@ -340,9 +343,8 @@ def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> L
     lights = [values_of(light) for light in scene.lights]
     transforms = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
     transforms += [(id(instance.gaussians), instance.transform.tobytes()) for instance in emitters]
-    materials = [id(instance.material) for instance in scene.splats]
-    other_values = [lights, transforms, materials, [id(instance.mesh.material) for instance in scene.meshes]]
-    return LightState(sources, strengths, other_values, asset_transforms(scene))
+    materials = [instance.material for instance in scene.splats] + [instance.mesh.material for instance in scene.meshes]
+    return LightState(sources, strengths, [lights, transforms], materials, asset_transforms(scene))
 
 
 def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
@@ -371,15 +373,21 @@ def has_changed_suddenly(before: LightState, now: LightState) -> bool:
     return any(np.any(np.maximum(a, b) > CHANGED_STRENGTH * np.minimum(a, b)) for a, b in both)
 
 
+def have_changed(before: Sequence[Material | None], now: Sequence[Material | None]) -> bool:
+    """Returns whether materials differ in number or in their values; equal objects are not looked into."""
+    pairs = zip(before, now, strict=False)
+    return len(before) != len(now) or any(a is not b and values_of(a) != values_of(b) for a, b in pairs)
+
+
 def in_order(lights: Sequence[Light]) -> list[Light]:
     """Returns the enabled lights sorted by type and values, so that their order in the scene does not matter."""
     enabled = [light for light in lights if light.enabled]
     return sorted(enabled, key=lambda light: (type(light).__name__, repr(values_of(light))))
 
 
-def values_of(light: Light) -> list[object]:
-    """Returns a light's fields as values that can be compared with those of another frame."""
-    return [comparable(getattr(light, field.name)) for field in fields(light)]
+def values_of(item: Light | Material | None) -> list[object]:
+    """Returns the fields of a light or material as values that can be compared with those of another frame."""
+    return [comparable(getattr(item, field.name)) for field in fields(item)] if item else []
 
 
 def comparable(value: object) -> object:
