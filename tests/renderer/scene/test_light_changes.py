@@ -116,6 +116,15 @@ def test_history_of_realtime_light_has_its_full_weight_at_the_start_of_each_sequ
     assert changes.history_weight(ls.Scene(), False) == 1.0
 
 
+def test_lamps_that_pass_each_other_are_recognised() -> None:
+    """Their order in the frame's list changes, which is by position; this is no abrupt change of a light's strength."""
+    faint, bright = ls.LightPoint((0.0, 1.0, 0.0)), ls.LightPoint((0.1, 1.0, 0.0), intensity=9.0)
+    changes = LightChanges()
+    changes.history_weight(replace(LIT, lights=in_order([faint, bright])), False)
+    passed = in_order([replace(faint, position=(0.2, 1.0, 0.0)), bright])
+    assert changes.history_weight(replace(LIT, lights=passed), False) == CHANGED_HISTORY_WEIGHT
+
+
 def test_headlight_that_replaces_removed_lights_counts_as_a_change_of_lights() -> None:
     """When the last light is removed, the headlight is a new light."""
     changes, dark = LightChanges(), replace(LIT, lights=())

@@ -224,7 +224,8 @@ def lights_before(now: Sequence[Light], before: Sequence[Light]) -> list[int]:
         of_before = [key(light) for light in before]
         for number, light in enumerate(now):
             if numbers[number] < 0:
-                numbers[number] = next((other for other in left if of_before[other] == key(light)), -1)
+                wanted = key(light)
+                numbers[number] = next((other for other in left if of_before[other] == wanted), -1)
                 if numbers[number] >= 0:
                     left.remove(numbers[number])
     return numbers
@@ -284,10 +285,9 @@ class LightState:
     sources: Sequence[object]
     """Type of each light, and size and emission of each emissive mesh: if they differ, a light appeared or
     disappeared."""
-    strengths: list[npt.NDArray[np.float64]]
-    """Colour times intensity of each light, by channel, shape (3,) each."""
+    lights: Sequence[Light]
     other_values: Sequence[object]
-    """Everything else that determines lighting: fields of lights except strength, transforms of emissive objects."""
+    """Everything else that determines lighting: fields of lights, transforms of emissive objects."""
     materials: Sequence[Material | None]
     """Material of each instance, splats first."""
     objects: Sequence[object]
@@ -339,12 +339,11 @@ def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> L
     meshes = [(i.mesh.vertex_count, i.mesh.face_count, emission_of(i.mesh.material)) for i in shining]
     emitters = [scene.splats[number] for number in captures]
     sources = [has_headlight, *((type(light), light.enabled) for light in scene.lights), *meshes, len(emitters)]
-    strengths = [strength_of(light) for light in scene.lights]
     lights = [values_of(light) for light in scene.lights]
     transforms = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
     transforms += [(id(instance.gaussians), instance.transform.tobytes()) for instance in emitters]
     materials = [instance.material for instance in scene.splats] + [instance.mesh.material for instance in scene.meshes]
-    return LightState(sources, strengths, [lights, transforms], materials, asset_transforms(scene))
+    return LightState(sources, scene.lights, [lights, transforms], materials, asset_transforms(scene))
 
 
 def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
@@ -369,8 +368,14 @@ def has_changed_suddenly(before: LightState, now: LightState) -> bool:
     """Returns whether a light appeared or disappeared, or its strength changed by more than ``CHANGED_STRENGTH``."""
     if before.sources != now.sources:
         return True
-    both = zip(before.strengths, now.strengths, strict=True)
-    return any(np.any(np.maximum(a, b) > CHANGED_STRENGTH * np.minimum(a, b)) for a, b in both)
+    if before.other_values == now.other_values:
+        return False
+    for light, number in zip(now.lights, lights_before(now.lights, before.lights), strict=True):
+        # Lights of a scene are sorted by position, so that lamps that move change their order.
+        both = strength_of(light), strength_of(before.lights[number])
+        if np.any(np.maximum(*both) > CHANGED_STRENGTH * np.minimum(*both)):
+            return True
+    return False
 
 
 def have_changed(before: Sequence[Material | None], now: Sequence[Material | None]) -> bool:
