@@ -14,7 +14,7 @@ from lumisplat.device.gaussian.layers import LAYER_LIFT
 from lumisplat.device.gi.probe_placement import ProbeData
 from lumisplat.math.directions import directions_of_square
 from lumisplat.renderer.scene.camera_table import subpixel
-from lumisplat.renderer.scene.motion import OUTDATED_HISTORY_WEIGHT
+from lumisplat.renderer.scene.motion import CHANGED_HISTORY_WEIGHT, OUTDATED_HISTORY_WEIGHT
 from lumisplat.runtime.buffers import device_array
 from support.oracles import screen_probe_oracle as oracle
 from support.oracles.means_oracle import mean_weight
@@ -243,6 +243,19 @@ def test_outdated_light_of_a_screen_probe_cell_stays_until_its_next_ray_replaces
         worst.append(np.abs(sequence.render(surfaces) / np.pi - new).max())
     assert worst[0] > 1.0, "not all probes are refreshed in one frame"
     assert worst[-1] < 2e-3, "a plain mean would still have a third of the old light"
+
+
+def test_probes_keep_the_root_of_the_weight_of_cached_light_unless_it_changes_abruptly() -> None:
+    """Light that moves leaves more of a probe's few samples than of the cache's many; a light that goes out, none."""
+    surfaces = visible_box(box_camera(), 0.002)
+    sequence = ProbeSequence(constant(np.ones(3)), refreshed=1.0, adaptive=0.0)
+    for weight, kept in ((CHANGED_HISTORY_WEIGHT, CHANGED_HISTORY_WEIGHT**0.5), (OUTDATED_HISTORY_WEIGHT,) * 2):
+        sequence.render(surfaces)
+        sequence.place(surfaces)
+        before = cells_of(sequence).samples
+        sequence.probes.outdate(sequence_row(0, weight))
+        np.testing.assert_allclose(cells_of(sequence).samples, kept * before, rtol=1e-5)
+        assert before.max() > 0.5
 
 
 def thin_pole(camera: ls.Camera) -> VisibleSurfaces:

@@ -42,6 +42,9 @@ frame; up to this distance, the probe keeps its position."""
 
 STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 
+ABRUPT = wp.constant(wp.float32(0.5))
+"""Below this weight of cached lighting, light has changed abruptly."""
+
 
 @wp.kernel
 def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
@@ -311,10 +314,14 @@ def add_samples(
 
 @wp.kernel
 def outdate_cells(start: int, sequence: wp.array[SequenceData], cells_inout: ProbeCells):
-    """Per probe cell (direction): multiplies the weight of its mean radiance by that of cached lighting."""
+    """Per probe cell (direction): multiplies the weight of its mean radiance by the root of that of cached lighting.
+
+    The means have few samples, and what they sample is averaged over frames already. An abrupt change counts fully.
+    """
     k = start + wp.tid()
-    if sequence[0].history_weight < 1.0:
-        cells_inout.samples[k] = sequence[0].history_weight * cells_inout.samples[k]
+    weight = sequence[0].history_weight
+    if weight < 1.0:
+        cells_inout.samples[k] = wp.where(weight < ABRUPT, weight, wp.sqrt(weight)) * cells_inout.samples[k]
 
 
 @wp.kernel

@@ -97,7 +97,7 @@ class ScreenProbes:
         self.has_history = True
 
     def outdate(self, sequence: DeviceArray) -> None:
-        """Multiplies the weight of all gathered radiance by that of ``sequence``; call it after ``place``."""
+        """Lowers the weight of all gathered radiance by that of ``sequence``; call it after ``place``."""
         self._launcher.run_banded(kernels.outdate_cells, self.count * self._cell_count, sequence, self.cells)
 
     def rays(self) -> RayData:
