@@ -226,7 +226,7 @@ def grid_light(
         if chance > 0.0:
             number = numbers[cell * SLOTS + slot]
             importance[slot] = light_importance(number, vertex.position, vertex.normal, scene)
-            if lobe.mirrored > 0.0:
+            if lobe.specular > 0.0:
                 importance[slot] = lobe_importance(number, importance[slot], interaction, lobe, scene)
             total += importance[slot] / chance
     if not (total > 0.0 and total < wp.inf):
@@ -244,7 +244,7 @@ def grid_light(
 def light_of_all(u: float, interaction: Interaction, scene: wp.array[ShadingScene]) -> LightChoice:
     """Chooses one of all lights in proportion to its importance at the interaction; ``u`` is random, 0..1."""
     lobe = lobe_at(interaction)
-    if lobe.mirrored <= 0.0:
+    if lobe.specular <= 0.0:
         return chosen_light(u, vertex_at(interaction, scene), scene)
     vertex = vertex_without_importance(interaction)
     choice = LightChoice()

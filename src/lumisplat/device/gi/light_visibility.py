@@ -105,7 +105,7 @@ def is_remembered(number: int, interaction: Interaction, scene: wp.array[Shading
     if not has_visibility(number, scene):
         return False
     lobe = lobe_at(interaction)
-    if lobe.mirrored <= lobe.diffuse:
+    if lobe.specular <= lobe.diffuse:
         return True
     return angular_radius(number, interaction.position, scene) <= NARROW * lobe.alpha
 
@@ -128,7 +128,7 @@ def choice_weight(
 ) -> float:
     """Returns how often light ``number`` is sampled, relative to others: unshadowed light times uncertainty."""
     importance = light_importance(number, interaction.position, interaction.normal, scene)
-    if lobe.mirrored > lobe.diffuse:
+    if lobe.specular > lobe.diffuse:
         importance = lobe_importance(number, importance, interaction, lobe, scene)
     if not is_remembered(number, interaction, scene):
         return UNKNOWN * importance

@@ -15,14 +15,24 @@ import warp as wp
 
 from lumisplat.constants import LUMINANCE
 from lumisplat.device.light.emitters import (
+    BRIGHTEST,
+    candidate_count,
     environment_pdf,
     environment_radiance,
+    sample_candidate,
     sample_emitter,
     sample_environment,
 )
 from lumisplat.device.light.glossy_lobe import highlight_of
 from lumisplat.device.light.light import LIGHT_ENVIRONMENT, sample_light
-from lumisplat.device.light.lobe_lights import crossing_of, lobe_at, lobe_chance, most_by_lobe
+from lumisplat.device.light.lobe_lights import (
+    CROSSED_MAX,
+    crossing_of,
+    emitter_crossing,
+    lobe_at,
+    lobe_chance,
+    most_by_lobe,
+)
 from lumisplat.device.light.shadow_rays import start_shadow_ray
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample, view_albedo
 from lumisplat.device.material.microfacets import transmits
@@ -79,12 +89,7 @@ SHADOW_BRANCH = wp.constant(5)
 """Branch of a ray's random key for the shadow ray towards the one selected light."""
 
 EMITTER_BRANCH = wp.constant(9)
-"""Branch of a ray's random key that selects the triangles of `resampled_emitter`."""
-
-EMITTER_CANDIDATES = 8
-"""Number of points on emissive triangles of which real-time rendering samples one."""
-
-CANDIDATES = wp.constant(EMITTER_CANDIDATES)
+"""Branch of a ray's random key for the candidates of `resampled_emitters`."""
 
 WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 
@@ -501,39 +506,89 @@ def sample_chosen_environment(
 
 
 @wp.func
-def resampled_emitter(
+def resampled_emitters(
     interaction: Interaction, key: wp.uint32, index: int, scene: wp.array[ShadingScene]
-) -> LightSample:
-    """Samples the emissive triangles as a light: one of several points, chosen by its unshadowed irradiance.
+) -> Contribution:
+    """Samples the emissive triangles: chooses one of several points by the unshadowed light that the surface reflects.
 
-    Points chosen by power alone are rare and bright beside a small triangle. Resampled importance sampling (Talbot et
-    al. 2005) keeps the mean. ``index`` is the number of the pixel's sample; the sample's ``pdf`` is 0.
+    Candidates are points on triangles and, if these are few, a direction by the BSDF, weighted by the balance
+    heuristic, so that no near triangle or highlight is rare and bright. Resampled importance sampling (Talbot et al.
+    2005) keeps the mean. ``index`` is the number of the pixel's sample.
     """
-    points = branch_key(key, POINT_BRANCH)
-    triangles = branch_key(key, EMITTER_BRANCH)
+    emitters = branch_key(key, EMITTER_BRANCH)
     rest = sobol_2d(branch_key(key, CHOICE_BRANCH), index)[1]
-    chosen = LightSample()
+    lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
+    points = candidate_count(scene)
+    directions = wp.where(scene[0].emitters.ends.shape[0] <= CROSSED_MAX, 1, 0)
+    chosen = Contribution()
     total = float(0.0)
     weight = float(0.0)
-    candidates = int(CANDIDATES)  # a variable, so that Warp does not unroll the loop
-    for candidate in range(candidates):
-        number = candidates * index + candidate
-        which = sobol_2d(triangles, number)[0]
-        sample = sample_emitter(interaction.position, sobol_2d(points, number), which, scene)
-        found = luminance(irradiance_of(interaction, sample))
-        if found > 0.0 and found < wp.inf:
-            total += found
-            chance = found / total
+    for candidate in range(points + directions):
+        sample = LightSample()
+        density = float(0.0)
+        if candidate < points:
+            sample = sample_candidate(candidate, interaction.position, emitters, index, scene)
+            density = sample.pdf
+            if directions > 0 and arrives(interaction, sample.direction):
+                density += bsdf_pdf(lobe, interaction.normal, interaction.wo, sample.direction)
+        else:
+            u = sobol_2d(branch_key(key, POINT_BRANCH), index)
+            sampled = bsdf_sample(lobe, interaction.normal, interaction.wo, u, sobol_2d(emitters, index)[1])
+            if sampled.pdf > 0.0:
+                crossing = emitter_crossing(interaction.position, sampled.direction, scene)
+                sample.direction = sampled.direction
+                sample.distance = crossing.t
+                sample.irradiance = crossing.radiance
+                density = crossing.pdf + sampled.pdf
+        found = Contribution()
+        if density > 0.0:
+            sample.irradiance = wp.min(sample.irradiance / density, BRIGHTEST)
+            found = contribution_of(interaction, sample, 1.0)
+        bright = luminance(found.color)
+        if bright > 0.0 and bright < wp.inf:
+            total += bright
+            chance = bright / total
             if rest < chance:
-                chosen = sample
-                weight = found
+                chosen = found
+                weight = bright
                 rest = rest / chance
             else:
                 rest = (rest - chance) / (1.0 - chance)
-    chosen.pdf = 0.0
     if weight > 0.0:
-        chosen.irradiance = (total / (float(CANDIDATES) * weight)) * chosen.irradiance
+        chosen.color = (total / weight) * chosen.color
     return chosen
+
+
+@wp.func
+def sample_by_lobe(
+    number: int, chance: float, interaction: Interaction, u: wp.vec2, which: float, scene: wp.array[ShadingScene]
+) -> LightSample:
+    """Samples light ``number`` by the highlight, as is done with probability ``chance``; black: it misses the light.
+
+    The balance heuristic weights the irradiance, together with samples by the light (`weight_beside_lobe`).
+    """
+    sample = LightSample()
+    sampled = bsdf_sample(highlight_of(interaction.bsdf), interaction.normal, interaction.wo, u, which)
+    if sampled.pdf > 0.0:
+        crossing = crossing_of(number, interaction.position, sampled.direction, scene)
+        if crossing.pdf > 0.0:
+            sample.direction = sampled.direction
+            sample.distance = crossing.t
+            sample.irradiance = crossing.radiance / ((1.0 - chance) * crossing.pdf + chance * sampled.pdf)
+    return sample
+
+
+@wp.func
+def weight_beside_lobe(sample: LightSample, chance: float, interaction: Interaction) -> float:
+    """Returns the factor of a sample by a light, which the highlight samples in its place with probability ``chance``.
+
+    It is the weight of the balance heuristic over the probability of the sample by the light, or 1 if that is certain.
+    """
+    if chance <= 0.0:
+        return 1.0
+    pdf = bsdf_pdf(highlight_of(interaction.bsdf), interaction.normal, interaction.wo, sample.direction)
+    both = (1.0 - chance) * sample.pdf + chance * pdf
+    return wp.where(both > 0.0, sample.pdf / both, 0.0)
 
 
 @wp.func
@@ -543,38 +598,23 @@ def sample_light_or_lobe(
     """Samples the selected light, not the environment; the contribution is divided by the selection probability.
 
     Either the light or, with the probability of ``lobe_chance``, the highlight samples the direction; the balance
-    heuristic (Veach and Guibas 1995) for one sample weights both. Where highlights do not sample emissive triangles,
-    these are resampled. ``index`` is the number of the pixel's sample.
+    heuristic (Veach and Guibas 1995) for one sample weights both. Emissive triangles are resampled. ``index`` is the
+    number of the pixel's sample.
     """
+    if choice.number == scene[0].settings[0].light_count:
+        resampled = resampled_emitters(interaction, key, index, scene)
+        resampled.color = resampled.color / choice.probability
+        return resampled
     u = sobol_2d(branch_key(key, POINT_BRANCH), index)
     which = sobol_2d(branch_key(key, CHOICE_BRANCH), index)[1]
     chance = lobe_chance(choice.number, interaction, scene)
-    if chance <= 0.0:
-        if choice.number == scene[0].settings[0].light_count:
-            resampled = resampled_emitter(interaction, key, index, scene)
-            return contribution_of(interaction, resampled, 1.0 / choice.probability)
-        return sample_chosen(choice, interaction, u, which, False, scene).contribution
-    lobe = highlight_of(interaction.bsdf)
     sample = LightSample()
     if u[0] < chance:
-        sampled = bsdf_sample(lobe, interaction.normal, interaction.wo, wp.vec2(u[0] / chance, u[1]), which)
-        if sampled.pdf <= 0.0:
-            return Contribution()
-        crossing = crossing_of(choice.number, interaction.position, sampled.direction, scene)
-        if crossing.pdf <= 0.0:
-            return Contribution()
-        sample.direction = sampled.direction
-        sample.distance = crossing.t
-        both = (1.0 - chance) * crossing.pdf + chance * sampled.pdf
-        sample.irradiance = crossing.radiance / both
+        sample = sample_by_lobe(choice.number, chance, interaction, wp.vec2(u[0] / chance, u[1]), which, scene)
     else:
         remapped = wp.vec2((u[0] - chance) / (1.0 - chance), u[1])
         sample = sample_of_choice(choice, interaction.position, remapped, which, scene)
-        pdf = bsdf_pdf(lobe, interaction.normal, interaction.wo, sample.direction)
-        both = (1.0 - chance) * sample.pdf + chance * pdf
-        if both <= 0.0:
-            return Contribution()
-        sample.irradiance = (sample.pdf / both) * sample.irradiance
+        sample.irradiance *= weight_beside_lobe(sample, chance, interaction)
     return contribution_of(interaction, sample, 1.0 / choice.probability)
 
 

@@ -6,11 +6,21 @@ from lumisplat.constants import ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
 from lumisplat.device.light.interaction import emission_at
 from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, PI, TWO_PI, angle_of
 from lumisplat.device.math.lanes import picked
+from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.mesh.mesh_surface import surface_alpha
 from lumisplat.device.structs.shading import EmitterTriangle, EnvironmentData, LightSample, ShadingScene
 
 EMITTER_MARGIN = 1e-5
 """Fraction of the distance to an emissive triangle by which shadow rays end before the triangle."""
+
+EMITTER_CANDIDATES = 8
+"""Least number of points on emissive triangles of which real-time rendering samples one."""
+
+EMITTERS_EACH = 16
+"""Largest number of emissive triangles of a scene that all get candidates; of more, candidates are drawn by power."""
+
+LEAST_CANDIDATES = wp.constant(EMITTER_CANDIDATES)
+MOST_EACH = wp.constant(EMITTERS_EACH)
 
 # --- The environment ---
 #
@@ -246,6 +256,15 @@ def emitted_from(k: int, u: wp.vec2, direction: wp.vec3, scene: wp.array[Shading
 
 
 @wp.func
+def emitter_alpha(k: int, weights: wp.vec3, scene: wp.array[ShadingScene]) -> float:
+    """Returns the alpha of emissive triangle ``k`` at barycentric ``weights``, 0..1; 0 in holes of an alpha mask."""
+    number = scene[0].emitters.instances[k]
+    instance = scene[0].mesh_instances[number]
+    corners = scene[0].meshes.indices[instance.face_first + k - scene[0].emitters.first[number]]
+    return surface_alpha(instance, scene[0].meshes, corners, weights)
+
+
+@wp.func
 def radiance_of_emitter(k: int, weights: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
     """Returns the radiance of emissive triangle ``k`` at barycentric ``weights``, against ``direction``."""
     number = scene[0].emitters.instances[k]
@@ -265,4 +284,50 @@ def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[Sha
     sample = towards_emitter(scene[0].emitters.triangles[k], emitter_share(k, scene), point, u)
     if sample.pdf > 0.0:
         sample.irradiance = wp.min(emitted_from(k, u, sample.direction, scene) / sample.pdf, BRIGHTEST)
+    return sample
+
+
+# --- Candidates of which one point is sampled ---
+
+
+@wp.func
+def candidate_count(scene: wp.array[ShadingScene]) -> int:
+    """Returns the number of candidate points: equally many, at least one, on each of few triangles, or else 8."""
+    triangles = scene[0].emitters.ends.shape[0]
+    if triangles > MOST_EACH:
+        return LEAST_CANDIDATES
+    return triangles * ((LEAST_CANDIDATES + triangles - 1) // triangles)
+
+
+@wp.func
+def candidates_on(k: int, scene: wp.array[ShadingScene]) -> float:
+    """Returns the mean number of candidate points on emissive triangle ``k``."""
+    triangles = scene[0].emitters.ends.shape[0]
+    candidates = float(candidate_count(scene))
+    if triangles > MOST_EACH:
+        return candidates * emitter_share(k, scene)
+    return candidates / float(triangles)
+
+
+@wp.func
+def sample_candidate(
+    candidate: int, point: wp.vec3, key: wp.uint32, index: int, scene: wp.array[ShadingScene]
+) -> LightSample:
+    """Samples a candidate point on the emissive triangles, as seen from ``point``.
+
+    ``key`` is random, ``index`` the number of the pixel's sample. ``pdf`` is the density of all candidates, and
+    ``irradiance`` the radiance.
+    """
+    triangles = scene[0].emitters.ends.shape[0]
+    k = candidate % triangles
+    number = candidate_count(scene) // triangles * index + candidate // triangles
+    points = branch_key(key, k)
+    if triangles > MOST_EACH:
+        number = LEAST_CANDIDATES * index + candidate
+        points = branch_key(key, 0)
+        k = chosen_emitter(sobol_2d(key, number)[0], scene)
+    u = sobol_2d(points, number)
+    sample = towards_emitter(scene[0].emitters.triangles[k], candidates_on(k, scene), point, u)
+    if sample.pdf > 0.0:
+        sample.irradiance = emitted_from(k, u, sample.direction, scene)
     return sample

@@ -10,7 +10,8 @@ from lumisplat.constants import COAT_HEAD_ON
 from lumisplat.device.light.emitters import (
     NEARER,
     area_pdf,
-    emitter_share,
+    candidates_on,
+    emitter_alpha,
     point_above,
     radiance_of_emitter,
 )
@@ -158,8 +159,8 @@ def eval_in_pixel(bsdf: Bsdf, footprint: float, normal: wp.vec3, view: wp.vec3, 
 class Lobe:
     """Describes a surface's highlight, as far as the choice and the sampling of lights depend on it."""
 
-    mirrored: float
-    """Albedo of the highlight and clearcoat, mean over channels; 0: there is no highlight that samples lights."""
+    specular: float
+    """Specular albedo, of highlight and clearcoat, mean over channels; 0: there is no highlight that samples lights."""
     diffuse: float
     """Albedo of the diffuse lobe, mean over channels."""
     alpha: float
@@ -173,7 +174,7 @@ def lobe_at(interaction: Interaction) -> Lobe:
     bsdf = interaction.bsdf
     if bsdf.model == BSDF_SIMPLE:
         lobe.alpha = wp.sqrt(2.0 / (bsdf.shininess + 2.0))
-        lobe.mirrored = mean_of(bsdf.specular)
+        lobe.specular = mean_of(bsdf.specular)
         lobe.diffuse = mean_of(bsdf.diffuse)
         return lobe
     if transmits(bsdf) or interaction.shadow_catcher:
@@ -182,10 +183,10 @@ def lobe_at(interaction: Interaction) -> Lobe:
     lobe.diffuse = mean_of(bsdf.diffuse)
     lobe.alpha = 1.0
     if bsdf.alpha > 0.0 and bsdf.grazing > 0.0 and cosine > 0.0:
-        lobe.mirrored = mean_of(view_albedo(bsdf, cosine))
+        lobe.specular = mean_of(view_albedo(bsdf, cosine))
         lobe.alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
     if bsdf.coat > 0.0:
-        lobe.mirrored += COAT * bsdf.coat
+        lobe.specular += COAT * bsdf.coat
         lobe.alpha = wp.min(lobe.alpha, bsdf.coat_alpha)
     return lobe
 
@@ -194,7 +195,7 @@ def lobe_at(interaction: Interaction) -> Lobe:
 def relevant_footprint(footprint: float, interaction: Interaction) -> float:
     """Returns the footprint, or 0 if it widens the highlight of an interaction by less than half a percent."""
     lobe = lobe_at(interaction)
-    if lobe.mirrored <= 0.0 or footprint < FOOTPRINT_MIN * lobe.alpha * lobe.alpha:
+    if lobe.specular <= 0.0 or footprint < FOOTPRINT_MIN * lobe.alpha * lobe.alpha:
         return 0.0
     return footprint
 
@@ -291,10 +292,10 @@ def lobe_importance(
         return 0.0
     if number < scene[0].settings[0].light_count:
         if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-            return importance * (lobe.diffuse + lobe.mirrored)
-    gained = lobe.mirrored * lobe_gain(number, interaction, lobe, scene)
-    gained = wp.min(gained, GAIN_MAX * (lobe.diffuse + lobe.mirrored))
-    return importance * (lobe.diffuse + REST * lobe.mirrored + gained)
+            return importance * (lobe.diffuse + lobe.specular)
+    gained = lobe.specular * lobe_gain(number, interaction, lobe, scene)
+    gained = wp.min(gained, GAIN_MAX * (lobe.diffuse + lobe.specular))
+    return importance * (lobe.diffuse + REST * lobe.specular + gained)
 
 
 # --- Samples of the chosen light by the highlight ---
@@ -302,14 +303,14 @@ def lobe_importance(
 
 @wp.func
 def emitter_crossing(origin: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]) -> LightCrossing:
-    """Intersects a ray with all emissive triangles; returns the nearest, with radiance and pdf.
+    """Intersects a ray with all emissive triangles; returns the nearest, with radiance and density of candidates.
 
     The distance ends shortly before the triangle, as that of light samples does.
     """
     crossing = LightCrossing()
     crossing.t = wp.inf
     nearest = int(-1)
-    weights = wp.vec2(0.0)
+    corners = wp.vec3(0.0)
     for k in range(scene[0].emitters.ends.shape[0]):
         triangle = scene[0].emitters.triangles[k]
         slope = wp.dot(triangle.across, direction)
@@ -320,14 +321,15 @@ def emitter_crossing(origin: wp.vec3, direction: wp.vec3, scene: wp.array[Shadin
             u = -wp.dot(triangle.edge2, side) / slope
             v = wp.dot(triangle.edge1, side) / slope
             if t > 0.0 and t < crossing.t and u >= 0.0 and v >= 0.0 and u + v <= 1.0:
-                crossing.t = t
-                nearest = k
-                weights = wp.vec2(u, v)
+                weights = wp.vec3(1.0 - u - v, u, v)
+                if emitter_alpha(k, weights, scene) > 0.0:
+                    crossing.t = t
+                    nearest = k
+                    corners = weights
     if nearest >= 0:
-        corners = wp.vec3(1.0 - weights[0] - weights[1], weights[0], weights[1])
         triangle = scene[0].emitters.triangles[nearest]
         crossing.radiance = radiance_of_emitter(nearest, corners, direction, scene)
-        crossing.pdf = area_pdf(emitter_share(nearest, scene), triangle.across, direction, crossing.t * crossing.t)
+        crossing.pdf = area_pdf(candidates_on(nearest, scene), triangle.across, direction, crossing.t * crossing.t)
         crossing.t = NEARER * wp.dot(point_above(triangle, corners, origin) - origin, direction)
     return crossing
 
@@ -349,8 +351,6 @@ def sun_crossing(light: LightData, direction: wp.vec3) -> LightCrossing:
 @wp.func
 def crossing_of(number: int, origin: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]) -> LightCrossing:
     """Intersects a ray with light ``number``, which has an extent; the pdf is 0 if the ray misses it."""
-    if number == scene[0].settings[0].light_count:
-        return emitter_crossing(origin, direction, scene)
     light = scene[0].lights[number]
     if light.kind == LIGHT_DIRECTIONAL:
         return sun_crossing(light, direction)
@@ -367,7 +367,7 @@ def crossing_of(number: int, origin: wp.vec3, direction: wp.vec3, scene: wp.arra
 @wp.func
 def most_by_lobe(lobe: Lobe) -> float:
     """Returns the probability with which a highlight samples a light that fills it."""
-    return wp.max(CHANCE_MAX * lobe.mirrored / wp.max(lobe.mirrored + lobe.diffuse, TINY), CHANCE_LEAST)
+    return wp.max(CHANCE_MAX * lobe.specular / wp.max(lobe.specular + lobe.diffuse, TINY), CHANCE_LEAST)
 
 
 @wp.func
@@ -375,18 +375,14 @@ def lobe_chance(number: int, interaction: Interaction, scene: wp.array[ShadingSc
     """Returns the probability with which the highlight, not light ``number``, samples the direction to the light.
 
     It is in proportion to the fraction of the highlight that the light approximately fills, and 0 if that is small.
+    The light must be neither the environment nor the emissive triangles.
     """
     lobe = lobe_at(interaction)
-    if lobe.mirrored <= 0.0:
+    if lobe.specular <= 0.0:
         return 0.0
     radius = angular_radius(number, interaction.position, scene)
-    most = most_by_lobe(lobe)
-    if number == scene[0].settings[0].light_count:
-        if scene[0].emitters.ends.shape[0] > CROSSED_MAX:
-            return 0.0
-        most = wp.min(most, 0.5)  # they may fill little of the sphere around them
-    elif radius >= 1.0 and not is_flat(scene[0].lights[number]):
+    if radius >= 1.0 and not is_flat(scene[0].lights[number]):
         return 0.0  # inside of a sphere, which is then a point
     radius = wp.min(radius, 1.0)
-    chance = most * wp.min(radius * radius * lobe_gain(number, interaction, lobe, scene), 1.0)
+    chance = most_by_lobe(lobe) * wp.min(radius * radius * lobe_gain(number, interaction, lobe, scene), 1.0)
     return wp.where(chance < CHANCE_MIN, 0.0, chance)
