@@ -9,7 +9,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.scene.lights import Light
 from support.probes.probe_highlight_kernels import probe_facets
-from support.scenes.light_scenes import metal, parallelogram
+from support.scenes.light_scenes import box, metal, parallelogram
 from support.scenes.path_scenes import diffuse, paths, quad
 
 DOWN = ls.Camera.look_at((0, 0.5, 0), (0, 0, 0), (0, 0, -1), width=24, height=16, fov_y=0.02)
@@ -38,19 +38,27 @@ def plate(roughness: float) -> ls.Mesh:
     return parallelogram((-2, 0, -2), (0, 0, 4), (4, 0, 0), metal(roughness))
 
 
-def glossy(scene: ls.Scene, frames: int, camera: ls.Camera = DOWN) -> np.ndarray:
-    """Returns direct light in highlights, not averaged over pixels: the mean over frames of each, shape (H, W)."""
-    settings = ls.config.RealtimeConfig(filter=ls.config.FilterConfig(passes=0, frames=frames), antialiasing=False)
+def sequence(
+    scenes: list[ls.Scene], camera: ls.Camera, *, layer: str = "direct_glossy", frames: int = 32, passes: int = 0
+) -> np.ndarray:
+    """Returns a layer of each frame, the mean over the last ``frames``, shape (N, H, W)."""
+    settings = ls.config.RealtimeConfig(filter=ls.config.FilterConfig(passes=passes, frames=frames), antialiasing=False)
     config = ls.RenderConfig(
-        pipeline=ls.Pipeline.REALTIME,
-        max_bounces=0,
-        realtime=settings,
-        aovs=("direct_glossy",),
-        shadows=ls.Shadows.SOFT,
+        pipeline=ls.Pipeline.REALTIME, max_bounces=0, realtime=settings, aovs=(layer,), shadows=ls.Shadows.SOFT
     )
     renderer = ls.create_renderer(config, device="cpu")
-    *_, frame = (renderer.render(scene, camera) for _ in range(frames))
-    return np.asarray(frame.direct_glossy, np.float64)[..., 1]
+    images = [np.array(getattr(renderer.render(scene, camera), layer), np.float64) for scene in scenes]
+    return np.array(images)[..., 1]
+
+
+def glossy(scene: ls.Scene, frames: int, camera: ls.Camera = DOWN) -> np.ndarray:
+    """Returns direct light in highlights, not averaged over pixels: the mean over frames of each, shape (H, W)."""
+    return sequence([scene] * frames, camera, frames=frames)[-1]
+
+
+def truth_of(scene: ls.Scene, camera: ls.Camera, layer: str = "direct_glossy", samples: int = 256) -> np.ndarray:
+    """Returns a layer of a path-traced frame, shape (H, W)."""
+    return np.asarray(getattr(paths(scene, camera, samples, 1, aovs=(layer,)), layer), np.float64)[..., 1]
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -75,6 +83,68 @@ def test_light_beside_the_centre_of_a_highlight_reflects_half_of_it(kind: str, r
         truth = np.asarray(layer)[..., 1].mean()
         assert truth == pytest.approx(0.5, abs=0.1)
         assert glossy(scene, 64).mean() == pytest.approx(truth, rel=0.03)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.3])
+def test_soft_lamp_shows_its_disc_in_plastic(roughness: float) -> None:
+    """Microfacets of the lamp's width, at its centre, would be a blurred disc: blocks are off by 162 or 18 %."""
+    plastic = ls.MaterialPbr(base_color=(0.3, 0.3, 0.3), roughness=roughness)
+    lamp = ls.LightSphere((0.0, 1.2, -1.6), 0.3, intensity=3.0)
+    scene = ls.Scene((), [parallelogram((-2, 0, -2), (0, 0, 4), (4, 0, 0), plastic)], [lamp])
+    camera = ls.Camera.look_at((0, 1.2, 1.6), (0, 0, 0), (0, 1, 0), width=64, height=48, fov_y=0.45)
+    images = glossy(scene, 32, camera), truth_of(scene, camera)
+    found, truth = (image.reshape(12, 4, 16, 4).mean(axis=(1, 3)) for image in images)
+    errors = (found - truth) / np.maximum(truth, 0.1 * truth.mean())
+    assert np.sqrt(np.mean(errors**2)) < 0.1
+
+
+@pytest.mark.parametrize("layer", ["direct_diffuse", "direct_glossy"])
+def test_emissive_panel_on_plastic_has_little_noise_and_the_light_of_paths(layer: str) -> None:
+    """Sampled by light or highlight alone, single frames would vary by 0.37 and 0.82 of the mean."""
+    plastic = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5))
+    panel = quad((-0.4, 0.05, -0.6), (0.8, 0, 0), (0, 0.5, 0), diffuse(0.0, 1.5))
+    scene = ls.Scene((), [quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), plastic), panel])
+    camera = ls.Camera.look_at((0, 0.7, 1.2), (0, 0, 0.1), (0, 1, 0), width=36, height=24, fov_y=0.35)
+    frames = sequence([scene] * 48, camera, layer=layer, frames=1)
+    truth = truth_of(scene, camera, layer, 512)
+    assert frames.mean() == pytest.approx(truth.mean(), rel=0.02)
+    assert frames.std(axis=0).mean() < (0.3 if layer == "direct_diffuse" else 0.6) * truth.mean()
+
+
+def test_wall_behind_a_thin_emissive_box_has_no_fireflies() -> None:
+    """No sample is much brighter than a wall at the box, 0.75; points on triangles alone reach 14."""
+    glowing = ls.MeshInstance(box((0.9, 0.35, 0.03), diffuse(0.0, 1.5)))
+    scene = ls.Scene((), [quad((-2, -2, -0.04), (4, 0, 0), (0, 4, 0), diffuse(0.5)), glowing])
+    camera = ls.Camera.look_at((0, 0, 2.5), (0, 0, 0), (0, 1, 0), width=64, height=48, fov_y=0.6)
+    frames = sequence([scene] * 32, camera, layer="direct_diffuse", frames=1)
+    assert 0.1 < frames.mean(axis=0).max() < frames.max() < 3.0
+
+
+def test_hole_before_an_emissive_panel_does_not_hide_it() -> None:
+    """The highlight samples the panel through a triangle that an alpha mask removes."""
+    hole = ls.MaterialPbr(emissive=(1.0, 1.0, 1.0), alpha_mode=ls.AlphaMode.MASK, alpha=0.0)
+    panel = quad((-1.0, 1.0, -1.0), (2, 0, 0), (0, 0, 2), diffuse(0.5, 1.0))
+    masked = quad((-1.0, 0.8, -1.0), (2, 0, 0), (0, 0, 2), hole)
+    assert glossy(ls.Scene((), [plate(0.1), panel, masked]), 16).mean() == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_highlight_of_a_lamp_that_approaches_is_right_in_every_frame(metallic: float) -> None:
+    """Visibility shows the highlight of the distant lamp, samples that of the near one, and both that between.
+
+    An instant change from one to the other loses 22 to 34 % for some frames, this up to 14 %.
+    """
+    material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=metallic, roughness=0.45)
+    sheet = parallelogram((-2, 0, -2), (0, 0, 4), (4, 0, 0), material)
+    sky = ls.LightEnvironment(color=(0.1, 0.1, 0.1))
+    camera = ls.Camera.look_at((0, 0.5, 0), (0, 0, 0), (0, 0, -1), width=24, height=16, fov_y=0.3)
+    heights = np.geomspace(2.8, 0.5, 61)
+    scenes = [ls.Scene((), [sheet], [ls.LightSphere((0.0, h, 0.0), 0.1, intensity=h * h), sky]) for h in heights]
+    found = sequence([scenes[0]] * 24 + scenes, camera)[24:]
+    numbers = range(0, len(scenes), 5)
+    truths = [truth_of(scenes[number], camera, samples=64).mean() for number in numbers]
+    truth = np.interp(range(len(scenes)), numbers, truths)
+    np.testing.assert_allclose(found.mean(axis=(1, 2)), truth, rtol=0.2)
 
 
 @pytest.mark.parametrize("alpha", [0.0025, 0.04, 0.3])

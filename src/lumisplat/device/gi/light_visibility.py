@@ -9,22 +9,24 @@ import warp as wp
 from lumisplat.constants import GRID_LIGHTS
 from lumisplat.device.gi.surfaces import PixelLight
 from lumisplat.device.light.direct_light import (
+    CHOICE_BRANCH,
     POINT_BRANCH,
     casts_shadow,
     choice_count,
     contribution_of,
     irradiance_of,
     light_importance,
+    sample_by_lobe,
     start_chosen_ray,
+    weight_beside_lobe,
 )
 from lumisplat.device.light.light import LIGHT_DIRECTIONAL, LIGHT_HEADLIGHT, LIGHT_POINT, LIGHT_SPOT, sample_light
-from lumisplat.device.light.lobe_lights import Lobe, angular_radius, lobe_at, lobe_importance
-from lumisplat.device.material.bsdf import diffuse_share
+from lumisplat.device.light.lobe_lights import Lobe, angular_radius, lobe_at, lobe_chance, lobe_importance
 from lumisplat.device.math.color import is_black, luminance
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import Interaction, LightChoice, ShadingScene, WaveData
+from lumisplat.device.structs.shading import Contribution, Interaction, LightChoice, LightSample, ShadingScene, WaveData
 
 VISIBILITY_MOST = 2.0
 """Largest visibility that is stored. It exceeds 1 where a part of an extended light is brighter than its centre."""
@@ -35,7 +37,10 @@ UNKNOWN_WEIGHT = 0.3
 MOST = wp.constant(wp.float32(VISIBILITY_MOST))
 UNKNOWN = wp.constant(wp.float32(UNKNOWN_WEIGHT))
 NARROW = wp.constant(wp.float32(0.25))
-"""The highlight of a light wider than this fraction of the lobe's width, in radians over alpha, is sampled."""
+"""The highlight of a light up to this wide, in radians over GGX's alpha, is remembered; wider ones in part."""
+
+WIDE = wp.constant(wp.float32(0.75))
+"""The highlight of a light wider than this, in radians over GGX's alpha, is sampled."""
 
 LightValues = wp.types.vector(length=GRID_LIGHTS, dtype=wp.float32)
 
@@ -97,17 +102,16 @@ def has_visibility(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 
 @wp.func
-def is_remembered(number: int, interaction: Interaction, scene: wp.array[ShadingScene]) -> bool:
-    """Returns whether light ``number`` lights a surface by its visibility.
+def remembered_highlight(number: int, interaction: Interaction, lobe: Lobe, scene: wp.array[ShadingScene]) -> float:
+    """Returns which fraction of a remembered light's highlight its visibility shows; the rest is sampled.
 
-    Metals whose highlight is narrower than four times the light sample it instead.
+    The highlight of a narrow light has the shape of the microfacets, that of a wide one the light's own. In between,
+    the fraction falls slowly, because samples follow light only within some frames.
     """
-    if not has_visibility(number, scene):
-        return False
-    lobe = lobe_at(interaction)
-    if lobe.specular <= lobe.diffuse:
-        return True
-    return angular_radius(number, interaction.position, scene) <= NARROW * lobe.alpha
+    if lobe.specular <= 0.0:
+        return 1.0
+    radius = angular_radius(number, interaction.position, scene)
+    return wp.clamp((WIDE - radius / lobe.alpha) / (WIDE - NARROW), 0.0, 1.0)
 
 
 @wp.func
@@ -128,13 +132,20 @@ def choice_weight(
 ) -> float:
     """Returns how often light ``number`` is sampled, relative to others: unshadowed light times uncertainty."""
     importance = light_importance(number, interaction.position, interaction.normal, scene)
-    if lobe.specular > lobe.diffuse:
-        importance = lobe_importance(number, importance, interaction, lobe, scene)
-    if not is_remembered(number, interaction, scene):
+    if lobe.specular <= 0.0 and not has_visibility(number, scene):
         return UNKNOWN * importance
-    count = float(remembered.counts[pixel, number])
-    variance = sample_variance(luminance(unpack(remembered.packed[pixel, number])), count)
-    return wp.sqrt(variance / (count + 1.0)) * importance
+    weight = float(0.0)
+    shown = float(0.0)
+    if has_visibility(number, scene):
+        shown = remembered_highlight(number, interaction, lobe, scene)
+        count = float(remembered.counts[pixel, number])
+        variance = sample_variance(luminance(unpack(remembered.packed[pixel, number])), count)
+        weight = wp.sqrt(variance / (count + 1.0)) * importance
+        if lobe.specular > 0.0:
+            weight *= lobe.diffuse + shown * lobe.specular
+    if shown < 1.0:
+        weight += UNKNOWN * (1.0 - shown) * lobe_importance(number, importance, interaction, lobe, scene)
+    return weight
 
 
 @wp.func
@@ -162,38 +173,62 @@ def light_by_uncertainty(
     return choice
 
 
+@struct
+class RememberedSample:
+    """A sample of a light whose visibility is remembered, and how much of it is shown as filtered samples."""
+
+    contribution: Contribution
+    """Unshadowed contribution, divided by the probability of the light."""
+    diffuse: float
+    """Factor of the diffuse light that the visibility leaves out."""
+    glossy: float
+
+
 @wp.func
 def sample_remembered(
     i: int,
     slot: int,
     choice: LightChoice,
+    shown: float,
     interaction: Interaction,
     no_shadows: bool,
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     light_out: PixelLight,
     rays: RayData,
-):
-    """Samples the visibility of the chosen light and starts its shadow ray; writes what the visibility leaves out."""
+) -> RememberedSample:
+    """Samples the visibility of the chosen light and starts its shadow ray; returns what the visibility leaves out.
+
+    Of the highlight, the visibility shows the fraction ``shown``. The rest is sampled by light or highlight
+    (`lobe_chance`); samples by the highlight tell nothing of the visibility of the whole light.
+    """
     number = choice.number
-    light = scene[0].lights[number]
-    center = sample_light(light, interaction.position, 0, wp.vec2(0.5))
-    expected = luminance(irradiance_of(interaction, center))
-    at = sobol_2d(branch_key(wave[0].rays.pixel_key[i], POINT_BRANCH), wave[0].rays.sample[i])
-    sample = sample_light(light, interaction.position, scene[0].settings[0].soft, at)
-    left_out = float(1.0)
-    if expected > 0.0:
-        ratio = luminance(irradiance_of(interaction, sample)) / expected
-        left_out = 1.0 - MOST / wp.max(ratio, MOST)
-        light_out.light[i] = number
-        light_out.ratio[i] = wp.min(ratio, MOST)
-    contribution = contribution_of(interaction, sample, 1.0 / choice.probability)
-    if is_black(contribution.color):
-        return
-    if left_out > 0.0:
-        share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, contribution.direction)
-        diffuse = wp.cw_mul(share, contribution.color)
-        light_out.diffuse[i] = left_out * diffuse
-        light_out.glossy[i] = left_out * (contribution.color - diffuse)
-    if not no_shadows and casts_shadow(number, scene):
-        start_chosen_ray(i, slot, number, contribution, scene, wave, rays)
+    result = RememberedSample()
+    key = wave[0].rays.pixel_key[i]
+    u = sobol_2d(branch_key(key, POINT_BRANCH), wave[0].rays.sample[i])
+    chance = float(0.0)
+    if shown < 1.0:
+        chance = lobe_chance(number, interaction, scene)
+    sample = LightSample()
+    if u[0] < chance:
+        which = sobol_2d(branch_key(key, CHOICE_BRANCH), wave[0].rays.sample[i])[1]
+        sample = sample_by_lobe(number, chance, interaction, wp.vec2(u[0] / chance, u[1]), which, scene)
+        result.glossy = 1.0 - shown
+    else:
+        light = scene[0].lights[number]
+        center = sample_light(light, interaction.position, 0, wp.vec2(0.5))
+        expected = luminance(irradiance_of(interaction, center))
+        at = wp.vec2((u[0] - chance) / (1.0 - chance), u[1])
+        sample = sample_light(light, interaction.position, scene[0].settings[0].soft, at)
+        left_out = float(1.0)
+        if expected > 0.0:
+            ratio = luminance(irradiance_of(interaction, sample)) / expected
+            left_out = 1.0 - MOST / wp.max(ratio, MOST)
+            light_out.light[i] = number
+            light_out.ratio[i] = wp.min(ratio, MOST)
+        result.diffuse = left_out / (1.0 - chance)
+        result.glossy = shown * result.diffuse + (1.0 - shown) * weight_beside_lobe(sample, chance, interaction)
+    result.contribution = contribution_of(interaction, sample, 1.0 / choice.probability)
+    if not (is_black(result.contribution.color) or no_shadows) and casts_shadow(number, scene):
+        start_chosen_ray(i, slot, number, result.contribution, scene, wave, rays)
+    return result

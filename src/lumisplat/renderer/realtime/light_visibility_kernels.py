@@ -13,8 +13,8 @@ from lumisplat.device.gi.light_visibility import (
     LightVisibility,
     VisibilitySample,
     has_visibility,
-    is_remembered,
     pack,
+    remembered_highlight,
     sample_variance,
     unpack,
 )
@@ -22,7 +22,7 @@ from lumisplat.device.gi.surfaces import PixelLight, Reprojection, SurfacePixels
 from lumisplat.device.light.direct_light import casts_shadow, irradiance_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.light import sample_light
-from lumisplat.device.light.lobe_lights import angular_radius, eval_in_pixel, relevant_footprint
+from lumisplat.device.light.lobe_lights import angular_radius, eval_in_pixel, lobe_at, relevant_footprint
 from lumisplat.device.material.bsdf import bsdf_eval, diffuse_share
 from lumisplat.device.math.color import is_black, luminance
 from lumisplat.device.structs.camera import CameraData
@@ -311,7 +311,7 @@ def add_remembered_light(
 ):
     """Per ray: adds the light of all lights whose visibility is remembered to its radiance and to two layers.
 
-    Highlights are widened by the ``footprint`` of the pixel and by the extent of the light.
+    Highlights are widened by the ``footprint`` of the pixel and by the extent of the light, unless they are sampled.
     """
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
@@ -321,11 +321,12 @@ def add_remembered_light(
     if not wave[0].rays.is_active[i] or not wave[0].interactions.exists[j] or wave[0].interactions.shadow_catcher[j]:
         return
     interaction = load_interaction(j, wave)
+    lobe = lobe_at(interaction)
     of_normals = relevant_footprint(footprint[pixel], interaction)
     diffuse = wp.vec3(0.0)
     glossy = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
-        if is_remembered(number, interaction, scene):
+        if has_visibility(number, scene):
             center = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
             irradiance = interaction.weight * irradiance_of(interaction, center)
             if not is_black(irradiance):
@@ -334,6 +335,10 @@ def add_remembered_light(
                 at_center = bsdf_eval(interaction.bsdf, interaction.normal, interaction.wo, center.direction)
                 share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, center.direction)
                 scattered = wp.cw_mul(share, at_center)
+                diffuse += wp.cw_mul(scattered, irradiance)
+                shown = remembered_highlight(number, interaction, lobe, scene)
+                if shown <= 0.0:
+                    continue
                 radius = 0.5 * angular_radius(number, interaction.position, scene)
                 wide = of_normals + radius * radius
                 in_pixel = at_center
@@ -341,8 +346,7 @@ def add_remembered_light(
                     in_pixel = eval_in_pixel(
                         interaction.bsdf, wide, interaction.normal, interaction.wo, center.direction
                     )
-                diffuse += wp.cw_mul(scattered, irradiance)
-                glossy += wp.cw_mul(wp.max(in_pixel - scattered, wp.vec3(0.0)), irradiance)
+                glossy += shown * wp.cw_mul(wp.max(in_pixel - scattered, wp.vec3(0.0)), irradiance)
     wave[0].radiance.light[i] += diffuse + glossy
     diffuse_inout[i] += diffuse
     glossy_inout[i] += glossy

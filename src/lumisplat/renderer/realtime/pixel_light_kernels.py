@@ -7,7 +7,13 @@ import warp as wp
 
 from lumisplat.device.camera.pixels import pixel_number, pixel_of_ray
 from lumisplat.device.gi.light_grid import LightGrid, lit_surface, sample_light_of
-from lumisplat.device.gi.light_visibility import LightVisibility, is_remembered, light_by_uncertainty, sample_remembered
+from lumisplat.device.gi.light_visibility import (
+    LightVisibility,
+    has_visibility,
+    light_by_uncertainty,
+    remembered_highlight,
+    sample_remembered,
+)
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
     PixelLight,
@@ -18,7 +24,7 @@ from lumisplat.device.gi.surfaces import (
 )
 from lumisplat.device.light.direct_light import CHOICE_BRANCH, sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.lobe_lights import eval_in_pixel, relevant_footprint, widened
+from lumisplat.device.light.lobe_lights import eval_in_pixel, lobe_at, relevant_footprint, widened
 from lumisplat.device.material.bsdf import bsdf_eval, diffuse_share
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
@@ -117,37 +123,46 @@ def sample_lights(
     if slot == 1:
         remembered = at_meshes
     contribution = Contribution()
+    of_diffuse = float(1.0)
+    of_glossy = float(1.0)
     if remembered.counts and pixel >= 0:
         key = branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH)
         u = sobol_2d(key, wave[0].rays.sample[i])
         choice = light_by_uncertainty(u[0], pixel, interaction, remembered, scene)
         if choice.number < 0:
             return
-        if is_remembered(choice.number, interaction, scene):
-            sample_remembered(i, slot, choice, interaction, no_shadows, scene, wave, light_out, rays_out)
-            return
-        interaction.bsdf = widened(bsdf, footprint)
-        contribution = sample_choice(i, slot, choice, interaction, no_shadows, scene, wave, rays_out)
+        if has_visibility(choice.number, scene):
+            shown = remembered_highlight(choice.number, interaction, lobe_at(interaction), scene)
+            interaction.bsdf = widened(bsdf, footprint)
+            sampled = sample_remembered(
+                i, slot, choice, shown, interaction, no_shadows, scene, wave, light_out, rays_out
+            )
+            contribution = sampled.contribution
+            of_diffuse = sampled.diffuse
+            of_glossy = sampled.glossy
+        else:
+            interaction.bsdf = widened(bsdf, footprint)
+            contribution = sample_choice(i, slot, choice, interaction, no_shadows, scene, wave, rays_out)
     else:
         interaction.bsdf = widened(bsdf, footprint)
         contribution = sample_light_of(i, slot, interaction, no_shadows, grid, scene, wave, rays_out)
-    if is_black(contribution.color):
+    if is_black(contribution.color) or of_diffuse + of_glossy <= 0.0:
         return
     direction = contribution.direction
     share = diffuse_share(bsdf, interaction.normal, interaction.wo, direction)
     if footprint <= 0.0:
         diffuse = wp.cw_mul(share, contribution.color)
-        light_out.diffuse[i] = diffuse
-        light_out.glossy[i] = contribution.color - diffuse
+        light_out.diffuse[i] = of_diffuse * diffuse
+        light_out.glossy[i] = of_glossy * (contribution.color - diffuse)
         return
-    sampled = bsdf_eval(interaction.bsdf, interaction.normal, interaction.wo, direction)
+    in_wide = bsdf_eval(interaction.bsdf, interaction.normal, interaction.wo, direction)
     at_centre = bsdf_eval(bsdf, interaction.normal, interaction.wo, direction)
     in_pixel = eval_in_pixel(bsdf, footprint, interaction.normal, interaction.wo, direction)
     for channel in range(3):
-        irradiance = contribution.color[channel] / wp.max(sampled[channel], LEAST)
+        irradiance = contribution.color[channel] / wp.max(in_wide[channel], LEAST)
         scattered = share[channel] * at_centre[channel]
-        light_out.diffuse[i][channel] = irradiance * scattered
-        light_out.glossy[i][channel] = irradiance * wp.max(in_pixel[channel] - scattered, 0.0)
+        light_out.diffuse[i][channel] = of_diffuse * irradiance * scattered
+        light_out.glossy[i][channel] = of_glossy * irradiance * wp.max(in_pixel[channel] - scattered, 0.0)
 
 
 @wp.kernel
