@@ -25,6 +25,17 @@ def test_recipe_for_adding_a_light_names_every_file_that_mentions_a_light_type()
     assert len(found) <= 6
 
 
+def test_recipe_for_adding_a_light_names_every_kernel_file_that_branches_on_light_types() -> None:
+    """Lights in a plane need no branch of their own; all others do."""
+    words = re.compile(r"[=!]= LIGHT_(?!ENVIRONMENT)[A-Z]+\b")
+    found = {
+        path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*.py") if words.search(path.read_text("utf-8"))
+    }
+    named = set(re.findall(r"`([\w/]+\.py)`", recipe("Adding a light")))
+    assert found <= named, f"not in the recipe: {', '.join(sorted(found - named))}"
+    assert len(found) > 2
+
+
 def test_recipe_for_adding_a_layer_names_every_file_that_mentions_a_layer() -> None:
     """The steps name every file with the name, field or array of a layer."""
     words = re.compile(r"\"reflection\"|\breflection: |\.reflection\b")

@@ -122,14 +122,14 @@ def test_lights_are_recognised_when_others_appear_move_or_swap_places() -> None:
     assert not is_same_light([], before, 0, 0)  # a headlight replaces missing lights
 
 
-def test_packed_visibility_is_within_half_a_step_of_the_original() -> None:
-    """Steps are a millionth; 0, 1 and 2 are exact."""
+def test_packed_visibility_is_within_half_a_step_and_rounding_of_the_original() -> None:
+    """Steps are a millionth; 0, 1 and 2 are exact. Three roundings to float32 add up to 1/16 step each."""
     values = np.random.default_rng(1).uniform(0.0, VISIBILITY_MOST, (500, 3)).astype(np.float32)
     values[:3] = [[0.0], [1.0], [VISIBILITY_MOST]]
     found = wp.zeros(len(values), dtype=wp.vec3, device="cpu")
     wp.launch(repack, len(values), inputs=[wp.array(values, dtype=wp.vec3, device="cpu"), found], device="cpu")
     step = 1.0 / 1048575.0
-    assert (np.abs(found.numpy() - values) <= 0.7 * step).all()
+    assert (np.abs(found.numpy() - values) <= (0.5 + 3.0 / 16.0) * step).all()
     np.testing.assert_array_equal(found.numpy()[:3], values[:3])
 
 
