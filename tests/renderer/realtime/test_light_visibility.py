@@ -94,6 +94,58 @@ def test_a_moving_lamp_that_lights_nothing_changes_no_light_elsewhere() -> None:
     assert with_motion < 1.2 * noise
 
 
+LOW = ls.Camera.look_at((0, 1.0, 0.01), (0, 0, 0), (0, 0, -1), width=48, height=32, fov_y=0.6)
+
+
+def light_after(scenes: list[ls.Scene]) -> float:
+    """Returns the mean direct light of the second half of a sequence."""
+    frames = direct_light(scenes, LOW)
+    return float(np.mean(frames[len(frames) // 2 :]))
+
+
+def soft_light(scene: ls.Scene) -> float:
+    """Returns the mean direct light with soft shadows, 64 samples."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=64, max_bounces=0)
+    return float(ls.render(scene, LOW, config, device="cpu").color.mean())
+
+
+@pytest.mark.parametrize("step", [0.0, 0.001])
+def test_mean_light_of_a_lamp_that_is_nearly_hidden_is_right(step: float) -> None:
+    """Seen through a hole, a twentieth of the lamp lights the floor; its samples are rare, and none may be lost."""
+    cells = [
+        ((-2.5, -2.5), (2.45, 5.0)),
+        ((0.05, -2.5), (2.45, 5.0)),
+        ((-0.05, -2.5), (0.1, 2.45)),
+        ((-0.05, 0.05), (0.1, 2.45)),
+    ]
+    plate = [quad((x, 1.2, z), (a, 0, 0), (0, 0, b), diffuse(0.5)) for (x, z), (a, b) in cells]
+    lamps = [ls.LightSphere((step * (k % 2), 1.5, 0.0), 0.295, intensity=8.0) for k in range(48)]
+    scenes = [ls.Scene(meshes=[FLOOR, *plate], lights=[lamp]) for lamp in lamps]
+    truth = soft_light(scenes[0])
+    assert 0.03 < truth / soft_light(ls.Scene(meshes=[FLOOR], lights=[lamps[0]])) < 0.08
+    assert light_after(scenes) == pytest.approx(truth, rel=0.03)
+
+
+def test_lamps_below_a_surface_take_no_samples_from_the_others() -> None:
+    """The noise of a penumbra stays the same when eight lamps are placed under the floor."""
+    edge = quad((0, 0.5, -2), (0, 0, 4), (2, 0, 0), diffuse(0.5))
+    soft = ls.LightSphere((0.0, 1.5, 0.0), 0.3, intensity=8.0)
+    below = [ls.LightPoint((0.1 * k, -1.0, 0.0), intensity=5.0) for k in range(8)]
+    alone, beside = (
+        np.array(direct_light([ls.Scene(meshes=[FLOOR, edge], lights=[soft, *others])] * 32, ABOVE)[16:])
+        for others in ([], below)
+    )
+    assert alone.std(axis=0).mean() > 0.0
+    assert beside.std(axis=0).mean() < 1.1 * alone.std(axis=0).mean()
+
+
+def test_soft_lamp_without_shadows_lights_a_wall_that_it_cuts_by_the_part_in_front() -> None:
+    """The visibility of its centre differs from 1 although nothing blocks it."""
+    lamp = ls.LightPoint((0.0, 0.1, 0.0), intensity=2.0, radius=0.2, casts_shadow=False)
+    scene = ls.Scene(meshes=[FLOOR], lights=[lamp])
+    assert light_after([scene] * 32) == pytest.approx(soft_light(scene), rel=0.02)
+
+
 def test_coloured_shadows_of_glass_keep_their_colour_in_remembered_visibility() -> None:
     """Light through red glass is red after 24 frames, as in a frame with one sample of each light."""
     glass = ls.MaterialPbr(base_color=(0.9, 0.2, 0.2), roughness=0.0, transmission=1.0, ior=1.0)
@@ -117,6 +169,7 @@ def test_lights_are_recognised_when_others_appear_move_or_swap_places() -> None:
     dimmed = replace(moved, intensity=1.0)
     assert lights_before([other, dimmed], [lamp, other]) == [1, 0]
     assert lights_before([sun, lamp], [lamp]) == [-1, 0]
+    assert is_same_light([replace(lamp, intensity=1.0, color=(1.0, 0.0, 0.0))], [lamp], 0, 0)  # equally visible
     now, before = [other, moved, sun], [lamp, other]
     assert [is_same_light(now, before, *pair) for pair in enumerate((1, 0, -1))] == [True, False, False]
     assert not is_same_light([], before, 0, 0)  # a headlight replaces missing lights

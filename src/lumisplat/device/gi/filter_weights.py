@@ -23,6 +23,12 @@ def falloff(x: float) -> float:
 
 
 @wp.func
+def step_weight(row: int, column: int, radius: int) -> float:
+    """Returns the weight of a neighbour by its place in a kernel of ``radius`` neighbours to each side."""
+    return falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
+
+
+@wp.func
 def luminance_weight(difference: float, variance: float, other: float) -> float:
     """Returns a neighbour's weight by luminance difference, relative to the geometric mean of two standard deviations.
 

@@ -22,6 +22,7 @@ from lumisplat.device.light.direct_light import (
 )
 from lumisplat.device.light.light import LIGHT_DIRECTIONAL, LIGHT_HEADLIGHT, LIGHT_POINT, LIGHT_SPOT, sample_light
 from lumisplat.device.light.lobe_lights import Lobe, angular_radius, lobe_at, lobe_chance, lobe_importance
+from lumisplat.device.material.microfacets import transmits
 from lumisplat.device.math.color import is_black, luminance
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs import struct
@@ -115,6 +116,20 @@ def remembered_highlight(number: int, interaction: Interaction, lobe: Lobe, scen
 
 
 @wp.func
+def is_learnt(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> bool:
+    """Returns whether samples can tell the visibility of a light at an opaque surface.
+
+    They cannot if the whole light is below the horizon, or if it has neither shadows nor extent. Light ``number`` must
+    be one that pixels remember.
+    """
+    radius = angular_radius(number, position, scene)
+    if radius <= 0.0 and not casts_shadow(number, scene):
+        return False
+    center = sample_light(scene[0].lights[number], position, 0, wp.vec2(0.5))
+    return wp.dot(normal, center.direction) > -radius and not is_black(center.irradiance)
+
+
+@wp.func
 def sample_variance(visibility: float, count: float) -> float:
     """Returns the variance of shadow rays of which ``count`` had the mean ``visibility``, by Laplace's rule."""
     share = (wp.clamp(visibility, 0.0, 1.0) * count + 1.0) / (count + 2.0)
@@ -131,6 +146,9 @@ def choice_weight(
     scene: wp.array[ShadingScene],
 ) -> float:
     """Returns how often light ``number`` is sampled, relative to others: unshadowed light times uncertainty."""
+    if has_visibility(number, scene) and not transmits(interaction.bsdf):
+        if not is_learnt(number, interaction.position, interaction.normal, scene):
+            return 0.0
     importance = light_importance(number, interaction.position, interaction.normal, scene)
     if lobe.specular <= 0.0 and not has_visibility(number, scene):
         return UNKNOWN * importance

@@ -6,7 +6,7 @@ edge-avoiding wavelets (Dammertz et al. 2010) with weights of compact support (d
 
 import warp as wp
 
-from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight
+from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight, step_weight
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
     LightHistory,
@@ -444,7 +444,7 @@ def filter_pass(
             weight *= falloff(per_distance * wp.dot(offset, normal))
             if weight <= WEIGHT_MIN:
                 continue
-            weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
+            weight *= step_weight(row, column, radius)
             tap_variance = variances[tap]
             tap_diffuse = of_diffuses[tap]
             difference = is_known * (luminance(tap_diffuse) - bright[0])

@@ -90,12 +90,18 @@ class LightVisibilities:
         lights = self._lights[parity]
         now = self._visibility(f"{self._kind}.{parity}", scene, lights)
         inputs = min(float(self._config.frames), COUNT_MOST), surfaces.now, scene.camera
-        inputs = *inputs, scene.shading, sample, before, now
+        partial = self._buffers.get("visibility.partial", wp.int32, width * height)
+        inputs = *inputs, scene.shading, scene.motion.light_kept, sample, before, now, partial
         self._run(scene, kernels.update_visibility, *inputs)
-        return self._smooth(scene, surfaces, now, lights)
+        return self._smooth(scene, surfaces, now, partial, lights)
 
     def _smooth(
-        self, scene: DeviceScene, surfaces: PixelSurfaces, visibility: LightVisibility, lights: int
+        self,
+        scene: DeviceScene,
+        surfaces: PixelSurfaces,
+        visibility: LightVisibility,
+        partial: DeviceArray,
+        lights: int,
     ) -> LightVisibility:
         """Averages partial visibilities with those of neighbouring pixels, in passes of doubling pixel distance."""
         width, height = scene.image_size
@@ -104,7 +110,7 @@ class LightVisibilities:
             packed = self._buffers.get(f"visibility.pass{number % 2}", wp.uint64, width * height * lights)
             smoothed.packed = cast(Any, packed.reshape((width * height, lights)))
             smoothed.counts = visibility.counts
-            inputs = 2**number, surfaces.now, scene.camera, visibility, smoothed
+            inputs = 2**number, surfaces.now, scene.camera, partial, visibility, smoothed
             self._run(scene, kernels.filter_visibility, *inputs)
             visibility = smoothed
         return visibility

@@ -6,13 +6,14 @@ The method is in docs/method/realtime.md#visibility.
 import warp as wp
 
 from lumisplat.device.camera.pixels import pixel_number
-from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight
+from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight, step_weight
 from lumisplat.device.gi.light_visibility import (
     LightColors,
     LightValues,
     LightVisibility,
     VisibilitySample,
     has_visibility,
+    is_learnt,
     pack,
     remembered_highlight,
     sample_variance,
@@ -31,11 +32,15 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
-CHANGE_SIGMAS = wp.constant(wp.float32(3.0))
-"""A visibility counts as changed if samples around a pixel differ from it by this many standard deviations."""
+CHANGE_SIGMAS = wp.constant(wp.float32(2.0))
+"""A visibility counts as changed if samples around a pixel differ by this many standard deviations."""
 
-MOVED_COUNT = wp.constant(wp.float32(4.0))
+MOVED_COUNT = wp.constant(wp.float32(2.0))
 """Largest number of samples in the visibility of a light that has moved or changed since the previous frame."""
+
+ALIKE = wp.constant(wp.float32(0.3))
+"""Only pixels whose visibilities differ by less take part in a test for changes: at the edge of a shadow, the jitter of
+a frame moves the samples of all pixels alike."""
 
 CERTAIN = wp.constant(wp.float32(0.02))
 """Visibilities within this distance of 0 and 1 are not filtered."""
@@ -117,11 +122,16 @@ def update_visibility(
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
+    light_kept: wp.array[int],
     sample: VisibilitySample,
     before: LightVisibility,
     visibility_out: LightVisibility,
+    partial_out: wp.array[int],
 ):
     """Per pixel: adds the sample to the visibility of its light, and follows what samples around it show.
+
+    Of the 5 x 5 pixels, every other one decides whether a visibility has changed, and the others say to what: samples
+    that did both would raise the mean, because chance exceeds a small mean more often than it falls below it.
 
     Args:
         start: Offset added to the thread index.
@@ -130,24 +140,28 @@ def update_visibility(
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         scene: The scene.
+        light_kept: 0 for a light that has moved or changed since the previous frame.
         sample: Samples of the frame.
         before: Reprojected visibilities.
         visibility_out: Visibilities with the samples.
+        partial_out: Bit ``k`` tells whether the visibility of light ``k`` is to be filtered.
     """
     pixel = start + wp.tid()
+    partial_out[pixel] = 0
     if surfaces.share[pixel] <= 0.0:
         return
+    position = surfaces.position[pixel]
+    normal = surfaces.normal[pixel]
     lights = before.packed.shape[1]
     is_new = bool(False)
     for number in range(lights):
-        is_new = is_new or (before.counts[pixel, number] == wp.uint8(0) and has_visibility(number, scene))
+        if before.counts[pixel, number] == wp.uint8(0) and has_visibility(number, scene):
+            is_new = is_new or is_learnt(number, position, normal, scene)
     x = pixel % size[0]
     y = pixel // size[0]
     extent = surfaces.extent[pixel]
     tolerated = tolerance(surfaces.distance[pixel], extent, camera)
     cosine_min = least_cosine(extent)
-    position = surfaces.position[pixel]
-    normal = surfaces.normal[pixel]
     found = LightColors()
     held = LightColors()
     difference = LightValues()
@@ -169,12 +183,22 @@ def update_visibility(
                 if is_near(position, normal, tolerated, cosine_min, positions[tap], normals[tap]):
                     if light >= 0:
                         passed = of_visibility[tap]
-                        for channel in range(3):
-                            found[light, channel] = found[light, channel] + passed[channel]
-                        sampled[light] = sampled[light] + 1.0
+                        mean = luminance(unpack(packed[tap, light]))
+                        is_old = light_kept[light] != 0 and counts[pixel, light] > wp.uint8(0)
+                        is_alike = True
+                        is_witness = False
+                        weight = float(1.0)
+                        if is_old:
+                            is_alike = wp.abs(mean - luminance(unpack(packed[pixel, light]))) < ALIKE
+                            is_witness = (row + column - x - y) % 2 != 0
+                        else:
+                            weight = falloff(0.5 * float((row - y) * (row - y) + (column - x) * (column - x)))
+                        if is_alike and not is_witness:
+                            for channel in range(3):
+                                found[light, channel] = found[light, channel] + weight * passed[channel]
+                            sampled[light] = sampled[light] + weight
                         count = float(counts[tap, light])
-                        if count > 0.0:
-                            mean = luminance(unpack(packed[tap, light]))
+                        if is_alike and is_witness and count > 0.0:
                             difference[light] = difference[light] + luminance(passed) - mean
                             variance[light] = variance[light] + (1.0 + 1.0 / count) * sample_variance(mean, count)
                     if is_new:
@@ -196,6 +220,8 @@ def update_visibility(
             if known[number] > 0.0:
                 value = wp.vec3(held[number, 0], held[number, 1], held[number, 2])
                 value = (value + sampled[number] * around) / (known[number] + sampled[number])
+        elif light_kept[number] == 0:
+            value += (sampled[number] / (count + sampled[number])) * (around - value)
         else:
             by_chance = CHANGE_SIGMAS * wp.sqrt(variance[number])
             distance = wp.abs(difference[number])
@@ -205,13 +231,18 @@ def update_visibility(
                 count *= retained
                 value += (1.0 - retained) * (sampled[number] / (sampled[number] + 1.0)) * (around - value)
         if own == number:
-            value += (of_visibility[pixel] - value) / (count + 1.0)
+            if light_kept[number] != 0:
+                value += (of_visibility[pixel] - value) / (count + 1.0)
             count = wp.min(count + 1.0, frames_max)
+        count = wp.round(count)
         if not has_visibility(number, scene):
             value = wp.vec3(0.0)
-            count = CERTAIN_FRAMES  # nothing to smooth
+        elif count > 0.0:  # else it is a mean over neighbours already
+            bright = luminance(value)
+            if count < CERTAIN_FRAMES or (bright > CERTAIN and bright < 1.0 - CERTAIN):
+                partial_out[pixel] = partial_out[pixel] | (1 << number)
         visibility_out.packed[pixel, number] = pack(value)
-        visibility_out.counts[pixel, number] = wp.uint8(wp.round(count))
+        visibility_out.counts[pixel, number] = wp.uint8(count)
 
 
 @wp.func
@@ -227,41 +258,39 @@ def filter_visibility(
     step: int,
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
+    partial: wp.array[int],
     visibility: LightVisibility,
     visibility_out: LightVisibility,
 ):
-    """Per pixel: averages partial visibilities with those of 3 x 3 pixels at distance ``step`` on the same surface.
+    """Per pixel: averages visibilities with those of 3 x 3 pixels at distance ``step`` on the same surface.
 
-    Weights are those of the light filter. ``counts`` are only read, from ``visibility``.
+    Two pixels are averaged if the visibility of one of them is partial. What they give to each other is equal, so that
+    no light is lost. ``counts`` are only read, from ``visibility``.
     """
     pixel = start + wp.tid()
-    if surfaces.share[pixel] <= 0.0:
-        return
     lights = visibility.packed.shape[1]
-    variance = LightValues()
-    total = LightValues()
-    sums = LightColors()
-    is_partial = bool(False)
     for number in range(lights):
-        value = unpack(visibility.packed[pixel, number])
-        count = float(visibility.counts[pixel, number])
         visibility_out.packed[pixel, number] = visibility.packed[pixel, number]
-        bright = luminance(value)
-        is_known = count > 0.0  # else it is a mean over neighbours already
-        if is_known and (count < CERTAIN_FRAMES or (bright > CERTAIN and bright < 1.0 - CERTAIN)):
-            is_partial = True
-            variance[number] = mean_variance(value, count)
-            total[number] = 1.0
-            for channel in range(3):
-                sums[number, channel] = value[channel]
-    if not is_partial:
+    if surfaces.share[pixel] <= 0.0:
         return
     x = pixel % size[0]
     y = pixel // size[0]
+    own = partial[pixel]
+    either = int(own)
+    for row in range(-1, 2):
+        for column in range(-1, 2):
+            tap_x = x + column * step
+            tap_y = y + row * step
+            if tap_x >= 0 and tap_x < size[0] and tap_y >= 0 and tap_y < size[1]:
+                either = either | partial[tap_y * size[0] + tap_x]
+    if either == 0:
+        return
     position = surfaces.position[pixel]
     normal = surfaces.normal[pixel]
     extent = surfaces.extent[pixel]
     per_distance = 1.0 / tolerance(surfaces.distance[pixel], extent, camera)
+    sums = LightColors()
+    whole = float(0.0)
     shares = surfaces.share
     positions = surfaces.position
     normals = surfaces.normal
@@ -269,31 +298,34 @@ def filter_visibility(
     counts = visibility.counts
     for row in range(-1, 2):
         for column in range(-1, 2):
+            by_step = step_weight(row, column, 1)
+            whole += by_step
             tap_x = x + column * step
             tap_y = y + row * step
             tap = tap_y * size[0] + tap_x
             if tap_x < 0 or tap_x >= size[0] or tap_y < 0 or tap_y >= size[1] or tap == pixel:
                 continue
-            if shares[tap] <= 0.0:
+            if shares[tap] <= 0.0 or (own | partial[tap]) == 0:
                 continue
-            weight = normal_weight(wp.dot(normal, normals[tap]), extent)
+            weight = by_step * normal_weight(wp.dot(normal, normals[tap]), extent)
             weight *= falloff(per_distance * wp.dot(positions[tap] - position, normal))
             if weight <= WEIGHT_MIN:
                 continue
-            weight *= falloff(0.75 * float(row * row + column * column))
             for number in range(lights):
-                if total[number] > 0.0:
-                    value = unpack(packed[tap, number])
-                    other = mean_variance(value, float(counts[tap, number]))
-                    distance = luminance(value) - luminance(unpack(packed[pixel, number]))
-                    of_light = weight * luminance_weight(wp.max(float(step), 2.0) * distance, variance[number], other)
-                    total[number] = total[number] + of_light
+                if ((own | partial[tap]) >> number) & 1 != 0:
+                    value = unpack(packed[pixel, number])
+                    variance = mean_variance(value, float(counts[pixel, number]))
+                    other = unpack(packed[tap, number])
+                    of_other = mean_variance(other, float(counts[tap, number]))
+                    distance = wp.max(float(step), 2.0) * (luminance(other) - luminance(value))
+                    least = wp.min(variance, of_other)
+                    of_light = weight * luminance_weight(distance, least, least)
                     for channel in range(3):
-                        sums[number, channel] = sums[number, channel] + of_light * value[channel]
+                        sums[number, channel] = sums[number, channel] + of_light * (other[channel] - value[channel])
     for number in range(lights):
-        if total[number] > 0.0:
-            mean = wp.vec3(sums[number, 0], sums[number, 1], sums[number, 2]) / total[number]
-            visibility_out.packed[pixel, number] = pack(mean)
+        if (either >> number) & 1 != 0:
+            change = wp.vec3(sums[number, 0], sums[number, 1], sums[number, 2]) / whole
+            visibility_out.packed[pixel, number] = pack(unpack(packed[pixel, number]) + change)
 
 
 @wp.kernel
@@ -330,7 +362,8 @@ def add_remembered_light(
             center = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
             irradiance = interaction.weight * irradiance_of(interaction, center)
             if not is_black(irradiance):
-                if not no_shadows and casts_shadow(number, scene):
+                radius = angular_radius(number, interaction.position, scene)
+                if radius > 0.0 or (not no_shadows and casts_shadow(number, scene)):
                     irradiance = wp.cw_mul(irradiance, unpack(remembered.packed[pixel, number]))
                 at_center = bsdf_eval(interaction.bsdf, interaction.normal, interaction.wo, center.direction)
                 share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, center.direction)
@@ -339,8 +372,7 @@ def add_remembered_light(
                 shown = remembered_highlight(number, interaction, lobe, scene)
                 if shown <= 0.0:
                     continue
-                radius = 0.5 * angular_radius(number, interaction.position, scene)
-                wide = of_normals + radius * radius
+                wide = of_normals + 0.25 * radius * radius
                 in_pixel = at_center
                 if wide > 0.0:
                     in_pixel = eval_in_pixel(

@@ -232,15 +232,21 @@ def lights_before(now: Sequence[Light], before: Sequence[Light]) -> list[int]:
 
 
 def is_same_light(now: Sequence[Light], before: Sequence[Light], number: int, old: int) -> bool:
-    """Returns whether light ``number`` equals light ``old`` of the previous frame; False for the headlight."""
+    """Returns whether light ``number`` is where light ``old`` of the previous frame was; False for the headlight."""
     if not 0 <= old < len(before) or number >= len(now):
         return False
-    return light_values(now[number]) == light_values(before[old])
+    return light_place(now[number]) == light_place(before[old])
 
 
 def light_values(light: Light) -> object:
     """Returns type and values of a light, by which it is recognised when it stands still."""
     return type(light), values_of(light)
+
+
+def light_place(light: Light) -> object:
+    """Returns type and values of a light that decide where it is visible."""
+    look = {"name", "color", "intensity", "range", "inner_angle", "outer_angle"}
+    return type(light), [comparable(getattr(light, field.name)) for field in fields(light) if field.name not in look]
 
 
 def light_look(light: Light) -> object:
