@@ -36,6 +36,9 @@ stands on the surface."""
 
 PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
 
+BORROWED = wp.constant(wp.float32(0.01))
+"""Weight of another pixel's history where jitter uncovers a surface: its light may differ, as beside a panel."""
+
 
 @wp.func
 def store_surface(j: int, pixel: int, camera: wp.array[CameraData], wave: wp.array[WaveData], out: SurfacePixels):
@@ -127,7 +130,7 @@ def find_previous(
     """Per pixel: finds the four previous pixels around its reprojected surface, and their bilinear weights.
 
     A previous pixel counts only if it shows the same surface. If none of the four does and the surface stands still,
-    one of the 3 x 3 pixels around that shows it counts alone, because jittered samples may see past edges.
+    one of the 3 x 3 pixels around that shows it counts alone, but little, because jittered samples may see past edges.
     """
     pixel = start + wp.tid()
     reprojection_out.weights[pixel] = wp.vec4(0.0)
@@ -166,6 +169,6 @@ def find_previous(
                 tap = row * size[0] + column
                 if total == 0.0 and is_same_surface(position, normal, tolerated, cosine_min, tap, before):
                     reprojection_out.first[pixel] = tap
-                    weights[0] = 1.0
-                    total = 1.0
+                    weights[0] = BORROWED
+                    total = BORROWED
     reprojection_out.weights[pixel] = weights

@@ -151,6 +151,7 @@ def reproject(
                     total += weights[number]
         if total > 0.0:
             pixel_history = scaled(pixel_history, 1.0 / total)
+            pixel_history.frames *= total
     store_history(pixel, pixel_history, history_out)
 
 

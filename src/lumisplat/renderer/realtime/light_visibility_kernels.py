@@ -82,7 +82,7 @@ def reproject_visibility(
                         mean += weights[number] * unpack(before.packed[tap, source])
         if total > 0.0:
             mean = mean / total
-            count = wp.max(wp.round(count / total), 1.0)
+            count = wp.round(count)
             if light_kept[light] == 0:
                 count = wp.min(count, MOVED_COUNT)
         visibility_out.packed[pixel, light] = pack(mean)
