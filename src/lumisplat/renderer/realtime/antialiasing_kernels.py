@@ -305,7 +305,8 @@ def weight_history(
             if frames > 0.0:
                 mean = image_at(history.color, size, position)
                 retained = float(1.0)
-                if not (stands and is_noise(x, y, size, colors, motions, history)):
+                at_rest = stands and sequence[0].history_weight >= 1.0
+                if not (at_rest or (stands and is_noise(x, y, size, colors, motions, history))):
                     retained = retained_share(x, y, size, colors, mean)
                 frames *= retained
                 if stands:
