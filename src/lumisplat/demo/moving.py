@@ -101,7 +101,7 @@ def _room() -> list[MeshInstance]:
     return [
         *walls,
         MeshInstance(ball, position=(1.0, 0.3, 0.75), name="steel ball"),
-        MeshInstance(knot, position=(1.55, 1.2, -1.2), rotation_degrees=(0.0, 30.0, 0.0), name="copper knot"),
+        MeshInstance(knot, position=(1.55, 1.015, -1.2), rotation_degrees=(0.0, 30.0, 0.0), name="copper knot"),
     ]
 
 
@@ -113,7 +113,7 @@ def _models(count: int) -> list[SplatInstance]:
     models = {
         "vase": (shapes.lathe(profile), (0.75, 0.72, 0.62), 0.35, (-1.55, 0.0, 0.35), 1.5),
         "knot": (shapes.torus_knot(2, 5), (0.2, 0.5, 0.35), 0.5, (-0.45, 0.26, -1.15), 0.38),
-        "shell": (shapes.spiral_shell(radius=0.3), (0.72, 0.5, 0.36), 0.6, (0.15, 0.3, 0.9), 1.0),
+        "shell": (shapes.spiral_shell(radius=0.3), (0.72, 0.5, 0.36), 0.6, (0.15, 0.132, 0.9), 1.0),
         "stone": (
             shapes.superellipsoid((0.3, 0.42, 0.3), north_south=0.5, east_west=0.5),
             (0.65, 0.22, 0.42),
