@@ -146,6 +146,21 @@ def test_soft_lamp_without_shadows_lights_a_wall_that_it_cuts_by_the_part_in_fro
     assert light_after([scene] * 32) == pytest.approx(soft_light(scene), rel=0.02)
 
 
+def test_lit_sliver_beside_a_nearer_edge_keeps_its_light() -> None:
+    """Light falls between table and wall on a strip a pixel high; jitter hides it in some frames."""
+    wall = quad((-2, -1, 0), (4, 0, 0), (0, 4, 0), diffuse(0.8))
+    table = quad((-2, 1, 0.05), (4, 0, 0), (0, 0, 1.45), diffuse(0.0))
+    scene = ls.Scene(meshes=[wall, table], lights=[ls.LightPoint((0.0, 2.0, 1.0), intensity=4.0)])
+    camera = ls.Camera.look_at((0, 0.6, 3), (0, 0.8, 0), (0, 1, 0), width=32, height=20, fov_y=0.35)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0, aovs=("direct_diffuse",))
+    renderer = ls.create_renderer(config, "cpu")
+    frames: list[Any] = [renderer.render(scene, camera) for _ in range(64)]
+    many = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, shadows=ls.Shadows.HARD, samples=64, max_bounces=0)
+    truth = ls.render(scene, camera, many, device="cpu").color
+    assert 0.0 < (truth.mean(axis=(1, 2)) > 0.0).sum() <= 4
+    assert np.mean([frame.direct_diffuse for frame in frames[32:]]) == pytest.approx(truth.mean(), rel=0.1)
+
+
 def test_coloured_shadows_of_glass_keep_their_colour_in_remembered_visibility() -> None:
     """Light through red glass is red after 24 frames, as in a frame with one sample of each light."""
     glass = ls.MaterialPbr(base_color=(0.9, 0.2, 0.2), roughness=0.0, transmission=1.0, ior=1.0)

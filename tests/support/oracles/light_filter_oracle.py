@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lumisplat.constants import LUMINANCE, STILL_PX
 from lumisplat.device.gi.filter_weights import LUMINANCE_SIGMAS, WEIGHT_LEAST
 from lumisplat.device.gi.surfaces import SAME_NORMAL_MESH, SAME_NORMAL_SPLATS, SAME_SURFACE_PX
-from lumisplat.renderer.realtime.gbuffer_kernels import SAME_PIXEL_PX
+from lumisplat.renderer.realtime.gbuffer_kernels import BORROWED_WEIGHT, SAME_PIXEL_PX
 from lumisplat.renderer.realtime.light_filter_kernels import (
     CHANGE_LEAST,
     CHANGE_SIGMAS,
@@ -83,8 +83,8 @@ def neighbours(surfaces: VisibleSurfaces, radius: int, step: int = 1) -> Iterato
 def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Light) -> Light:
     """Reprojects history to the current pixels, bilinearly over the pixels that showed the same surface.
 
-    If no such pixel exists and the surface stands still, the first of the 3 x 3 pixels that matches is used, unless
-    samples are at pixel centres.
+    If no such pixel exists and the surface stands still, the first of the 3 x 3 pixels that matches is used, with
+    `BORROWED_WEIGHT`, unless samples are at pixel centres. Frames count by the sum of weights.
     """
     camera, found = before.camera, empty(len(surfaces.share))
     known = np.where(np.isnan(surfaces.previous), camera.eye, surfaces.previous)
@@ -106,7 +106,11 @@ def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Lig
         is_left = ahead & ~matched & (stands | is_first)
         for row, column in product(rows, columns):
             at_x, at_y = left + column, top + row
-            weight = (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y)) if is_first else np.ones(len(offset))
+            weight = (
+                (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y))
+                if is_first
+                else np.full(len(offset), BORROWED_WEIGHT)
+            )
             inside = is_left & (at_x >= 0) & (at_x < camera.width) & (at_y >= 0) & (at_y < camera.height)
             taps = np.where(inside, at_y * camera.width + at_x, 0).astype(np.int64)
             shows = inside & (weight > 0.0) & is_same(surfaces, known, tolerated, before, taps)
@@ -118,7 +122,7 @@ def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Lig
             found.light += weight[:, None, None] * history.light[taps]
             found.moments += weight[:, None, None] * history.moments[taps]
     scale = 1.0 / np.where(total > 0.0, total, 1.0)
-    return Light(scale * found.frames, scale[:, None, None] * found.light, scale[:, None, None] * found.moments)
+    return Light(found.frames, scale[:, None, None] * found.light, scale[:, None, None] * found.moments)
 
 
 def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:

@@ -34,10 +34,11 @@ SAME_PIXEL_PX = 2.0
 pixel widths of the other's tangent plane. The limit keeps contact shadows from taking the history of the object that
 stands on the surface."""
 
-PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
-
-BORROWED = wp.constant(wp.float32(0.01))
+BORROWED_WEIGHT = 0.03
 """Weight of another pixel's history where jitter uncovers a surface: its light may differ, as beside a panel."""
+
+PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
+BORROWED = wp.constant(wp.float32(BORROWED_WEIGHT))
 
 
 @wp.func
