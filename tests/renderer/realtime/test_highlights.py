@@ -128,8 +128,32 @@ def test_hole_before_an_emissive_panel_does_not_hide_it() -> None:
     assert glossy(ls.Scene((), [plate(0.1), panel, masked]), 16).mean() == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.parametrize("glow", [0.0, 0.5])
+def test_panel_behind_a_veil_is_dimmed_by_its_alpha(glow: float) -> None:
+    """A triangle in front of another, emissive itself or not, hides of it what its alpha covers."""
+    veil = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), emissive=(glow,) * 3, alpha_mode=ls.AlphaMode.BLEND, alpha=0.25)
+    panel = quad((-1.0, 1.0, -1.0), (2, 0, 0), (0, 0, 2), diffuse(0.5, 1.0))
+    scene = ls.Scene((), [plate(0.1), panel, quad((-1.0, 0.8, -1.0), (2, 0, 0), (0, 0, 2), veil)])
+    assert glossy(scene, 64).mean() == pytest.approx(truth_of(scene, DOWN).mean(), rel=0.05)
+
+
+def test_emission_of_a_surface_takes_no_light_of_others_from_it() -> None:
+    """A metal that glows faintly reflects a panel as one that does not glow."""
+    glowing, dark = (
+        ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.3, emissive=(glow,) * 3)
+        for glow in (1e-4, 0.0)
+    )
+    panel = quad((0.0, 1.0, -1.0), (2, 0, 0), (0, 0, 2), diffuse(0.5, 1.0))
+    found, expected = (
+        glossy(ls.Scene((), [quad((-2, 0.3, -2), (0, 0, 4), (4, 0.2, 0), plate), panel]), 32)
+        for plate in (glowing, dark)
+    )
+    assert expected.mean() > 0.1
+    assert found.mean() == pytest.approx(expected.mean(), rel=0.02)
+
+
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
-def test_highlight_of_a_lamp_that_approaches_is_right_in_every_frame(metallic: float) -> None:
+def test_highlight_of_a_lamp_that_approaches_loses_little_in_any_frame(metallic: float) -> None:
     """Visibility shows the highlight of the distant lamp, samples that of the near one, and both that between.
 
     An instant change from one to the other loses 22 to 34 % for some frames, this up to 14 %.

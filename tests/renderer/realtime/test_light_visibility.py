@@ -12,7 +12,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.gi.light_visibility import VISIBILITY_MOST
-from lumisplat.renderer.scene.motion import is_same_light, lights_before
+from lumisplat.renderer.scene.motion import has_same_place, lights_before
 from support.probes.probe_visibility_kernels import find_variances, repack
 from support.scenes.path_scenes import as_splats, diffuse, quad
 
@@ -184,10 +184,10 @@ def test_lights_are_recognised_when_others_appear_move_or_swap_places() -> None:
     dimmed = replace(moved, intensity=1.0)
     assert lights_before([other, dimmed], [lamp, other]) == [1, 0]
     assert lights_before([sun, lamp], [lamp]) == [-1, 0]
-    assert is_same_light([replace(lamp, intensity=1.0, color=(1.0, 0.0, 0.0))], [lamp], 0, 0)  # equally visible
+    assert has_same_place([replace(lamp, intensity=1.0, color=(1.0, 0.0, 0.0))], [lamp], 0, 0)  # equally visible
     now, before = [other, moved, sun], [lamp, other]
-    assert [is_same_light(now, before, *pair) for pair in enumerate((1, 0, -1))] == [True, False, False]
-    assert not is_same_light([], before, 0, 0)  # a headlight replaces missing lights
+    assert [has_same_place(now, before, *pair) for pair in enumerate((1, 0, -1))] == [True, False, False]
+    assert not has_same_place([], before, 0, 0)  # a headlight replaces missing lights
 
 
 def test_packed_visibility_is_within_half_a_step_and_rounding_of_the_original() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.renderer.scene.motion import (
+    BRIGHTENED_HISTORY_WEIGHT,
     CHANGED_FRAMES,
     CHANGED_HISTORY_WEIGHT,
     MOVED_FRAMES,
@@ -52,6 +53,10 @@ MOVED = {
     "a capture that moves": replace(
         LIT, splats=[ls.SplatInstance(LIT.splats[0].gaussians, ELSEWHERE, material=LIT.splats[0].material)]
     ),
+    "a capture of another SH degree": replace(LIT, splats=[replace(LIT.splats[0], sh_degree=0)]),
+    "a mesh that catches shadows": replace(
+        LIT, meshes=[ls.MeshInstance(LIT.meshes[0].mesh, shadow_catcher=True), LIT.meshes[1]]
+    ),
 }
 CHANGED = {
     "a light's position": with_spot(position=(0.0, 2.1, 0.0)),
@@ -84,10 +89,10 @@ def test_weight_of_earlier_frames_in_realtime_light_falls_when_lights_change(cha
     changes = LightChanges()
     assert [changes.history_weight(LIT, False) for _ in range(3)] == [1.0] * 3
     after = [changes.history_weight((SAME | CHANGED | OTHER)[change], False) for _ in range(CHANGED_FRAMES + 1)]
-    assert after[0] == (
-        1.0 if change in SAME else CHANGED_HISTORY_WEIGHT if change in CHANGED else OUTDATED_HISTORY_WEIGHT
-    )
-    assert after[1:CHANGED_FRAMES] == [1.0 if change in SAME else CHANGED_HISTORY_WEIGHT] * (CHANGED_FRAMES - 1)
+    by_strength = change in OTHER or "a little" in change
+    fading = 1.0 if change in SAME else BRIGHTENED_HISTORY_WEIGHT if by_strength else CHANGED_HISTORY_WEIGHT
+    assert after[0] == (OUTDATED_HISTORY_WEIGHT if change in OTHER else fading)
+    assert after[1:CHANGED_FRAMES] == [fading] * (CHANGED_FRAMES - 1)
     assert after[CHANGED_FRAMES] in (1.0, MOVED_HISTORY_WEIGHT)  # a removed object may have moved
 
 

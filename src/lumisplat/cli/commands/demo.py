@@ -33,7 +33,7 @@ class Demo(DeviceCommand):
     output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")] = Path("out")
     """Write the images into this folder."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Set the image width; lit images are half as wide, the animation a quarter."""
+    """Set the image width; lit images are half as wide, animations a quarter."""
     scene: Annotated[Literal["room", "moving"], arg(metavar="room|moving")] = "room"
     """Choose the room at rest, or one where lamps and a figure move, in real time."""
     save_assets: Flag = False

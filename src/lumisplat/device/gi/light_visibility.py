@@ -33,7 +33,7 @@ VISIBILITY_MOST = 2.0
 """Largest visibility that is stored. It exceeds 1 where a part of an extended light is brighter than its centre."""
 
 UNKNOWN_WEIGHT = 0.3
-"""Weight in the choice of a light whose visibility is not remembered."""
+"""Weight in the choice of a light, or of the part of its highlight, that visibility does not show."""
 
 MOST = wp.constant(wp.float32(VISIBILITY_MOST))
 UNKNOWN = wp.constant(wp.float32(UNKNOWN_WEIGHT))
@@ -119,8 +119,8 @@ def remembered_highlight(number: int, interaction: Interaction, lobe: Lobe, scen
 def is_learnt(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> bool:
     """Returns whether samples can tell the visibility of a light at an opaque surface.
 
-    They cannot if the whole light is below the horizon, or if it has neither shadows nor extent. Light ``number`` must
-    be one that pixels remember.
+    They cannot if the whole light is below the horizon, if it has neither shadows nor extent, or if the surface is out
+    of its range or cone. Light ``number`` must be one that pixels remember.
     """
     radius = angular_radius(number, position, scene)
     if radius <= 0.0 and not casts_shadow(number, scene):

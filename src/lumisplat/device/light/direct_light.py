@@ -34,7 +34,7 @@ from lumisplat.device.light.lobe_lights import (
     most_by_lobe,
 )
 from lumisplat.device.light.shadow_rays import start_shadow_ray
-from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample, view_albedo
+from lumisplat.device.material.bsdf import BsdfSample, bsdf_eval, bsdf_pdf, bsdf_sample, view_albedo
 from lumisplat.device.material.microfacets import transmits
 from lumisplat.device.math.color import is_black, luminance
 from lumisplat.device.math.directions import PI
@@ -511,31 +511,35 @@ def resampled_emitters(
 ) -> Contribution:
     """Samples the emissive triangles: chooses one of several points by the unshadowed light that the surface reflects.
 
-    Candidates are points on triangles and, if these are few, a direction by the BSDF, weighted by the balance
-    heuristic, so that no near triangle or highlight is rare and bright. Resampled importance sampling (Talbot et al.
-    2005) keeps the mean. ``index`` is the number of the pixel's sample.
+    Candidates are points on triangles and, if these are few, all triangles in a direction by the BSDF, weighted by the
+    balance heuristic, so that no near triangle or highlight is rare and bright; the shadow ray decides what is seen.
+    Resampled importance sampling (Talbot et al. 2005) keeps the mean. ``index`` is the number of the pixel's sample.
     """
     emitters = branch_key(key, EMITTER_BRANCH)
     rest = sobol_2d(branch_key(key, CHOICE_BRANCH), index)[1]
     lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
     points = candidate_count(scene)
-    directions = wp.where(scene[0].emitters.ends.shape[0] <= CROSSED_MAX, 1, 0)
+    crossed = scene[0].emitters.ends.shape[0]
+    sampled = BsdfSample()
+    if crossed <= CROSSED_MAX:
+        u = sobol_2d(branch_key(key, POINT_BRANCH), index)
+        sampled = bsdf_sample(lobe, interaction.normal, interaction.wo, u, sobol_2d(emitters, index)[1])
+    else:
+        crossed = 0
     chosen = Contribution()
     total = float(0.0)
     weight = float(0.0)
-    for candidate in range(points + directions):
+    for candidate in range(points + crossed):
         sample = LightSample()
         density = float(0.0)
         if candidate < points:
             sample = sample_candidate(candidate, interaction.position, emitters, index, scene)
             density = sample.pdf
-            if directions > 0 and arrives(interaction, sample.direction):
+            if crossed > 0 and arrives(interaction, sample.direction):
                 density += bsdf_pdf(lobe, interaction.normal, interaction.wo, sample.direction)
-        else:
-            u = sobol_2d(branch_key(key, POINT_BRANCH), index)
-            sampled = bsdf_sample(lobe, interaction.normal, interaction.wo, u, sobol_2d(emitters, index)[1])
-            if sampled.pdf > 0.0:
-                crossing = emitter_crossing(interaction.position, sampled.direction, scene)
+        elif sampled.pdf > 0.0:
+            crossing = emitter_crossing(candidate - points, interaction.position, sampled.direction, scene)
+            if crossing.pdf > 0.0:
                 sample.direction = sampled.direction
                 sample.distance = crossing.t
                 sample.irradiance = crossing.radiance

@@ -256,15 +256,6 @@ def emitted_from(k: int, u: wp.vec2, direction: wp.vec3, scene: wp.array[Shading
 
 
 @wp.func
-def emitter_alpha(k: int, weights: wp.vec3, scene: wp.array[ShadingScene]) -> float:
-    """Returns the alpha of emissive triangle ``k`` at barycentric ``weights``, 0..1; 0 in holes of an alpha mask."""
-    number = scene[0].emitters.instances[k]
-    instance = scene[0].mesh_instances[number]
-    corners = scene[0].meshes.indices[instance.face_first + k - scene[0].emitters.first[number]]
-    return surface_alpha(instance, scene[0].meshes, corners, weights)
-
-
-@wp.func
 def radiance_of_emitter(k: int, weights: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
     """Returns the radiance of emissive triangle ``k`` at barycentric ``weights``, against ``direction``."""
     number = scene[0].emitters.instances[k]

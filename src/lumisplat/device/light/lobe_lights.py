@@ -11,7 +11,6 @@ from lumisplat.device.light.emitters import (
     NEARER,
     area_pdf,
     candidates_on,
-    emitter_alpha,
     point_above,
     radiance_of_emitter,
 )
@@ -80,6 +79,8 @@ REST = wp.constant(wp.float32(LOBE_REST))
 GAIN_MAX = wp.constant(wp.float32(LOBE_GAIN_MAX))
 CROSSED_MAX = wp.constant(EMITTERS_CROSSED)
 COAT = wp.constant(wp.float32(COAT_HEAD_ON))
+LIFTS = wp.constant(wp.float32(4.0))
+"""Distance of a surface from an emissive triangle up to which it lies on the triangle, in lifts of `point_above`."""
 TINY = wp.constant(wp.float32(1e-30))
 
 
@@ -302,34 +303,27 @@ def lobe_importance(
 
 
 @wp.func
-def emitter_crossing(origin: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]) -> LightCrossing:
-    """Intersects a ray with all emissive triangles; returns the nearest, with radiance and density of candidates.
+def emitter_crossing(k: int, origin: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]) -> LightCrossing:
+    """Intersects a ray with emissive triangle ``k``; the pdf, of candidate points, is 0 if the ray misses it.
 
-    The distance ends shortly before the triangle, as that of light samples does.
+    A ray misses the triangle that it starts on, whatever the rounding of its origin. The distance ends shortly before
+    the triangle, as that of light samples does.
     """
     crossing = LightCrossing()
-    crossing.t = wp.inf
-    nearest = int(-1)
-    corners = wp.vec3(0.0)
-    for k in range(scene[0].emitters.ends.shape[0]):
-        triangle = scene[0].emitters.triangles[k]
-        slope = wp.dot(triangle.across, direction)
-        if slope != 0.0:
-            offset = triangle.corner - origin
-            t = wp.dot(offset, triangle.across) / slope
-            side = wp.cross(direction, offset)
-            u = -wp.dot(triangle.edge2, side) / slope
-            v = wp.dot(triangle.edge1, side) / slope
-            if t > 0.0 and t < crossing.t and u >= 0.0 and v >= 0.0 and u + v <= 1.0:
-                weights = wp.vec3(1.0 - u - v, u, v)
-                if emitter_alpha(k, weights, scene) > 0.0:
-                    crossing.t = t
-                    nearest = k
-                    corners = weights
-    if nearest >= 0:
-        triangle = scene[0].emitters.triangles[nearest]
-        crossing.radiance = radiance_of_emitter(nearest, corners, direction, scene)
-        crossing.pdf = area_pdf(candidates_on(nearest, scene), triangle.across, direction, crossing.t * crossing.t)
+    triangle = scene[0].emitters.triangles[k]
+    slope = wp.dot(triangle.across, direction)
+    offset = triangle.corner - origin
+    away = wp.dot(offset, triangle.across)
+    if slope == 0.0 or wp.abs(away) <= LIFTS * triangle.lift * wp.dot(triangle.across, triangle.across):
+        return crossing
+    t = away / slope
+    side = wp.cross(direction, offset)
+    u = -wp.dot(triangle.edge2, side) / slope
+    v = wp.dot(triangle.edge1, side) / slope
+    if t > 0.0 and u >= 0.0 and v >= 0.0 and u + v <= 1.0:
+        corners = wp.vec3(1.0 - u - v, u, v)
+        crossing.radiance = radiance_of_emitter(k, corners, direction, scene)
+        crossing.pdf = area_pdf(candidates_on(k, scene), triangle.across, direction, t * t)
         crossing.t = NEARER * wp.dot(point_above(triangle, corners, origin) - origin, direction)
     return crossing
 

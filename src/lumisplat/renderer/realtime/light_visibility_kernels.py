@@ -36,7 +36,7 @@ CHANGE_SIGMAS = wp.constant(wp.float32(2.0))
 """A visibility counts as changed if samples around a pixel differ by this many standard deviations."""
 
 MOVED_COUNT = wp.constant(wp.float32(2.0))
-"""Largest number of samples in the visibility of a light that has moved or changed since the previous frame."""
+"""Largest number of samples in the visibility of a light that has moved since the previous frame."""
 
 ALIKE = wp.constant(wp.float32(0.3))
 """Only pixels whose visibilities differ by less take part in a test for changes: at the edge of a shadow, the jitter of
@@ -140,7 +140,7 @@ def update_visibility(
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         scene: The scene.
-        light_kept: 0 for a light that has moved or changed since the previous frame.
+        light_kept: 0 for a light that has moved since the previous frame.
         sample: Samples of the frame.
         before: Reprojected visibilities.
         visibility_out: Visibilities with the samples.
@@ -190,6 +190,7 @@ def update_visibility(
                         weight = float(1.0)
                         if is_old:
                             is_alike = wp.abs(mean - luminance(unpack(packed[pixel, light]))) < ALIKE
+                            is_alike = is_alike and counts[tap, light] > wp.uint8(0)
                             is_witness = (row + column - x - y) % 2 != 0
                         else:
                             weight = falloff(0.5 * float((row - y) * (row - y) + (column - x) * (column - x)))
@@ -265,7 +266,7 @@ def filter_visibility(
     """Per pixel: averages visibilities with those of 3 x 3 pixels at distance ``step`` on the same surface.
 
     Two pixels are averaged if the visibility of one of them is partial. What they give to each other is equal, so that
-    no light is lost. ``counts`` are only read, from ``visibility``.
+    the sum of visibilities stays the same. ``counts`` are only read, from ``visibility``.
     """
     pixel = start + wp.tid()
     lights = visibility.packed.shape[1]
@@ -288,12 +289,14 @@ def filter_visibility(
     position = surfaces.position[pixel]
     normal = surfaces.normal[pixel]
     extent = surfaces.extent[pixel]
-    per_distance = 1.0 / tolerance(surfaces.distance[pixel], extent, camera)
+    tolerated = tolerance(surfaces.distance[pixel], extent, camera)
     sums = LightColors()
     whole = float(0.0)
     shares = surfaces.share
     positions = surfaces.position
     normals = surfaces.normal
+    distances = surfaces.distance
+    extents = surfaces.extent
     packed = visibility.packed
     counts = visibility.counts
     for row in range(-1, 2):
@@ -308,7 +311,10 @@ def filter_visibility(
             if shares[tap] <= 0.0 or (own | partial[tap]) == 0:
                 continue
             weight = by_step * normal_weight(wp.dot(normal, normals[tap]), extent)
-            weight *= falloff(per_distance * wp.dot(positions[tap] - position, normal))
+            # The weight is the same both ways.
+            offset = positions[tap] - position
+            apart = wp.max(wp.abs(wp.dot(offset, normal)), wp.abs(wp.dot(offset, normals[tap])))
+            weight *= falloff(apart / wp.max(tolerated, tolerance(distances[tap], extents[tap], camera)))
             if weight <= WEIGHT_MIN:
                 continue
             for number in range(lights):

@@ -5,6 +5,7 @@ How lighting changes are handled is described in docs/method/realtime.md#light-t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar, cast
@@ -30,6 +31,9 @@ the cached lighting at once. Where there are no new samples yet, the cached ligh
 CHANGED_HISTORY_WEIGHT = 0.7
 """Factor on the weight of cached lighting in each of the `CHANGED_FRAMES` frames after lights move or change a little;
 means then cover about three frames."""
+
+BRIGHTENED_HISTORY_WEIGHT = 0.5
+"""As `CHANGED_HISTORY_WEIGHT`, after the strength of a light changes a little: all of its light is then outdated."""
 
 CHANGED_FRAMES = 8
 """Number of frames for which the weight of cached lighting is reduced after lights change."""
@@ -79,7 +83,7 @@ class Motion:
         self.light_before: wp.array[int]
         """Index in the previous frame of each light; -1: the light is new."""
         self.light_kept: wp.array[int]
-        """1: the light shines as in the previous frame; 0: it has moved, changed, or is new."""
+        """1: the light stands where it stood in the previous frame; 0: it has moved, or is new."""
 
     def sync(
         self,
@@ -112,7 +116,7 @@ class Motion:
         if has_headlight:
             lights = [-1 if before.lights else 0]
         self.light_before = self._buffers.upload("motion.light_before", wp.int32, np.array(lights, np.int32))
-        kept = [is_same_light(scene.lights, before.lights, *pair) for pair in enumerate(lights)]
+        kept = [has_same_place(scene.lights, before.lights, *pair) for pair in enumerate(lights)]
         self.light_kept = self._buffers.upload("motion.light_kept", wp.int32, np.array(kept, np.int32))
         self.history_weight = self._changes.history_weight(scene, has_headlight, captures)
         self._scene, self._camera = scene, camera
@@ -231,7 +235,7 @@ def lights_before(now: Sequence[Light], before: Sequence[Light]) -> list[int]:
     return numbers
 
 
-def is_same_light(now: Sequence[Light], before: Sequence[Light], number: int, old: int) -> bool:
+def has_same_place(now: Sequence[Light], before: Sequence[Light], number: int, old: int) -> bool:
     """Returns whether light ``number`` is where light ``old`` of the previous frame was; False for the headlight."""
     if not 0 <= old < len(before) or number >= len(now):
         return False
@@ -297,7 +301,8 @@ class LightState:
     materials: Sequence[Material | None]
     """Material of each instance, splats first."""
     objects: Sequence[object]
-    """Gaussian sets and meshes with their transforms: the objects that reflect light and cast shadows."""
+    """Gaussian sets and meshes with their transforms and how they are shown: the objects that reflect light and cast
+    shadows."""
 
 
 class LightChanges:
@@ -306,6 +311,7 @@ class LightChanges:
     def __init__(self) -> None:
         self._before: LightState | None = None
         self._changed_ago, self._moved_ago = CHANGED_FRAMES, MOVED_FRAMES
+        self._changed_weight = CHANGED_HISTORY_WEIGHT
 
     def forget(self) -> None:
         """Forgets the previous frame: in the next frame, no light has changed."""
@@ -325,16 +331,19 @@ class LightChanges:
         """
         now = light_state(scene, has_headlight, captures)
         before, self._before = self._before or now, now
-        is_other = has_changed_suddenly(before, now)
+        ratio = strength_ratio(before, now)
+        is_other = ratio > CHANGED_STRENGTH
         has_changed = (
             is_other or before.other_values != now.other_values or have_changed(before.materials, now.materials)
         )
         self._changed_ago = 0 if has_changed else self._changed_ago + 1
+        if has_changed:
+            self._changed_weight = BRIGHTENED_HISTORY_WEIGHT if ratio > 1.0 else CHANGED_HISTORY_WEIGHT
         self._moved_ago = 0 if before.objects != now.objects else self._moved_ago + 1
         if is_other:
             return OUTDATED_HISTORY_WEIGHT
         if self._changed_ago < CHANGED_FRAMES:
-            return CHANGED_HISTORY_WEIGHT
+            return self._changed_weight
         return MOVED_HISTORY_WEIGHT if self._moved_ago < MOVED_FRAMES else 1.0
 
 
@@ -349,7 +358,9 @@ def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> L
     transforms = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
     transforms += [(id(instance.gaussians), instance.transform.tobytes()) for instance in emitters]
     materials = [instance.material for instance in scene.splats] + [instance.mesh.material for instance in scene.meshes]
-    return LightState(sources, scene.lights, [lights, transforms], materials, asset_transforms(scene))
+    shown = [(instance.sh_degree, instance.shadow_catcher) for instance in scene.splats]
+    shown += [(-1, instance.shadow_catcher) for instance in scene.meshes]
+    return LightState(sources, scene.lights, [lights, transforms], materials, [asset_transforms(scene), shown])
 
 
 def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
@@ -370,18 +381,20 @@ def emission_of(material: Material) -> tuple[object, ...]:
     return material.emissive, material.double_sided
 
 
-def has_changed_suddenly(before: LightState, now: LightState) -> bool:
-    """Returns whether a light appeared or disappeared, or its strength changed by more than ``CHANGED_STRENGTH``."""
+def strength_ratio(before: LightState, now: LightState) -> float:
+    """Returns the largest ratio, by channel, of a light's strengths in two frames; inf if a light came or went."""
     if before.sources != now.sources:
-        return True
+        return math.inf
     if before.other_values == now.other_values:
-        return False
+        return 1.0
+    ratio = 1.0
     for light, number in zip(now.lights, lights_before(now.lights, before.lights), strict=True):
         # Lights of a scene are sorted by position, so that lamps that move change their order.
-        both = strength_of(light), strength_of(before.lights[number])
-        if np.any(np.maximum(*both) > CHANGED_STRENGTH * np.minimum(*both)):
-            return True
-    return False
+        for pair in zip(strength_of(light), strength_of(before.lights[number]), strict=True):
+            low, high = min(pair), max(pair)
+            if high > 0.0:
+                ratio = max(ratio, high / low if low > 0.0 else math.inf)
+    return ratio
 
 
 def have_changed(before: Sequence[Material | None], now: Sequence[Material | None]) -> bool:
