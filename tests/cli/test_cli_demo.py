@@ -61,7 +61,7 @@ def test_demo_command_writes_an_image_for_each_camera_and_lit_images_beside_them
 
 def test_demo_command_writes_an_animation_of_the_moving_room(work, monkeypatch):
     """``--scene moving`` writes 48 frames in which light and figure move, and the one in the middle."""
-    monkeypatch.setattr("lumisplat.cli.commands.demo.moving_scene", lambda time: moving_scene(time, 3_000))
+    monkeypatch.setattr("lumisplat.demo.moving.moving_scene", lambda time: moving_scene(time, 3_000))
     outcome = work.run("demo", "-o", "@demo", "--scene", "moving", "--width", "128")
     assert outcome.status == 0
     assert {Path(line).name for line in outcome.out.split()} == {"moving.png", "moving.gif"}

@@ -17,7 +17,6 @@ import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, Flag, own_options_first
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.images import check_writable, make_folder, plan_shots
-from lumisplat.demo.moving import DURATION, moving_camera, moving_scene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,7 +34,7 @@ class Demo(DeviceCommand):
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Set the image width; lit images are half as wide, animations a quarter."""
     scene: Annotated[Literal["room", "moving"], arg(metavar="room|moving")] = "room"
-    """Choose the room at rest, or one where lamps and a figure move, in real time."""
+    """Choose the room at rest, or one in motion, rendered in real time."""
     save_assets: Flag = False
     """Also write demo.ply and transforms.json, to try other commands."""
 
@@ -189,6 +188,8 @@ _MOVING_FPS = 24.0
 
 def moving_images(renderer: ls.Renderer, width: int, folder: Path, report: Report) -> Iterator[Path]:
     """Renders and writes ``moving.png`` and ``moving.gif``, a quarter of ``width`` wide; yields each path."""
+    from lumisplat.demo.moving import DURATION, moving_camera, moving_scene  # imports NumPy
+
     camera = moving_camera(max(16, width // 4), max(9, 9 * width // 64))
     count = round(_MOVING_FPS * DURATION)
     pictures: list[npt.NDArray[np.float32]] = []
