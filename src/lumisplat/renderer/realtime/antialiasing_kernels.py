@@ -196,20 +196,16 @@ def unchanged_share(
     colors: wp.array[wp.vec3],
     motions: wp.array[wp.vec3],
     history: TemporalHistory,
-    at_rest: bool,
 ) -> float:
-    """Returns the weight that a still pixel's history keeps: 1 if its light has not changed.
+    """Returns the weight that a still pixel's history keeps while lights or objects change: 1 if its light has not.
 
     At still edges, samples differ from means in both directions; changed light makes all of them brighter or darker.
-    If nothing in the scene changes (``at_rest``), light only settles, and all pixels may differ at once by their noise,
-    because jitter moves all samples of an edge alike.
     """
     means = history.color
     frames = history.frames
     changes = history.change
     difference = float(0.0)
     variance = float(0.0)
-    deviation = float(0.0)
     total = float(0.0)
     for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
         for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
@@ -218,9 +214,8 @@ def unchanged_share(
                 mean = luminance(means[tap])
                 difference += luminance(colors[tap]) - mean
                 variance += 0.5 * changes[tap]
-                deviation += wp.sqrt(0.5 * changes[tap])
                 total += mean
-    by_chance = SIGMAS * wp.where(at_rest, deviation, wp.sqrt(variance)) + CHANGE * total
+    by_chance = SIGMAS * wp.sqrt(variance) + CHANGE * total
     distance = wp.abs(difference)
     if distance <= by_chance:
         return 1.0
@@ -292,7 +287,6 @@ def weight_history(
     bright = luminance(color)
     if not wp.isnan(motion[0]):
         stands = is_still(motion)
-        at_rest = sequence[0].history_weight >= 1.0
         if not stands:
             position = wp.vec2(snapped(position[0] - motion[0]), snapped(position[1] - motion[1]))
         near_x = int(wp.round(position[0]))
@@ -302,8 +296,8 @@ def weight_history(
             frames = history.frames[tap]
             if sequence[0].history_weight <= OUTDATED:
                 frames *= sequence[0].history_weight
-            elif stands:
-                frames *= unchanged_share(x, y, size, colors, motions, history, at_rest)
+            elif stands and sequence[0].history_weight < 1.0:
+                frames *= unchanged_share(x, y, size, colors, motions, history)
             if position[0] != float(near_x) or position[1] != float(near_y):
                 frames = wp.min(frames, MOVING)
             if frames > 0.0 and has_left(history.instance[tap], instance, moved_to):
@@ -311,7 +305,8 @@ def weight_history(
             if frames > 0.0:
                 mean = image_at(history.color, size, position)
                 retained = float(1.0)
-                if not (stands and (at_rest or is_noise(x, y, size, colors, motions, history))):
+                at_rest = stands and sequence[0].history_weight >= 1.0
+                if not (at_rest or (stands and is_noise(x, y, size, colors, motions, history))):
                     retained = retained_share(x, y, size, colors, mean)
                 frames *= retained
                 if stands:
