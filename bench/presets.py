@@ -7,6 +7,7 @@ import os
 import pickle
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -227,15 +228,20 @@ class MovingRoom:
     scale: float = 1.0
     """Fraction of the Gaussians and of the pixels, above 0."""
 
+    WHOLE_COUNT: ClassVar[int] = 1_570_000
+    """Number of Gaussians at scale 1."""
+    WHOLE_SIZE: ClassVar[tuple[int, int]] = (1920, 1088)
+    """Width and height at scale 1, pixels, multiples of 16."""
+
     @property
     def count(self) -> int:
         """Number of Gaussians."""
-        return 5 * max(round(314_000 * self.scale), 1)
+        return 5 * max(round(self.WHOLE_COUNT / 5 * self.scale), 1)
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
-        width, height = (max(16 * round(side * self.scale**0.5 / 16), 16) for side in (1920, 1088))
+        width, height = (max(16 * round(side * self.scale**0.5 / 16), 16) for side in self.WHOLE_SIZE)
         return width, height
 
     @property
@@ -277,7 +283,7 @@ class MovingRoom:
 
 @dataclass(frozen=True)
 class DemoRoom(MovingRoom):
-    """The moving demo room with as many Gaussians: what that paper's first figure shows, with a figure that walks."""
+    """The moving demo room with as many Gaussians, as in the first figure of the same paper, and a walking figure."""
 
     @property
     def title(self) -> str:
@@ -298,16 +304,8 @@ class DemoRoom(MovingRoom):
 class OneObject(MovingRoom):
     """One relit capture under a lamp that circles and a sky; the paper's take less than 5 ms at 1280 x 720."""
 
-    @property
-    def count(self) -> int:
-        """Number of Gaussians."""
-        return max(round(150_000 * self.scale), 1)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in pixels."""
-        width, height = (max(round(side * self.scale**0.5), 16) for side in (1280, 720))
-        return width, height
+    WHOLE_COUNT = 150_000
+    WHOLE_SIZE = (1280, 720)
 
     @property
     def title(self) -> str:

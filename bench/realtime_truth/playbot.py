@@ -1,4 +1,4 @@
-"""A second moving scene, not tuned for: a captured robot and a walking figure in a closed room, lit by lamps.
+"""Creates a second moving scene, not tuned for: a captured robot and a walking figure in a closed room, with lamps.
 
 It differs from the moving demo room: Gaussians are photographed ones, and those of the figure's head deform; its body
 is of meshes. Walls are dark, the floor is shiny, a mirror hangs on a wall, and the camera is inside.

@@ -23,6 +23,15 @@ def falloff(x: float) -> float:
 
 
 @wp.func
+def share_within(distance: float, tolerated: float) -> float:
+    """Returns the fraction that a history keeps: 1 up to a tolerated distance from new samples, then its 4th power."""
+    if distance <= tolerated:
+        return 1.0
+    ratio = tolerated / distance
+    return ratio * ratio * ratio * ratio
+
+
+@wp.func
 def step_weight(row: int, column: int, radius: int) -> float:
     """Returns the weight of a neighbour by its place in a kernel of ``radius`` neighbours to each side."""
     return falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))

@@ -103,15 +103,14 @@ def has_visibility(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 
 @wp.func
-def remembered_highlight(number: int, interaction: Interaction, lobe: Lobe, scene: wp.array[ShadingScene]) -> float:
-    """Returns which fraction of a remembered light's highlight its visibility shows; the rest is sampled.
+def remembered_highlight(radius: float, lobe: Lobe) -> float:
+    """Returns which fraction of the highlight of a light of this radius visibility shows; the rest is sampled.
 
     The highlight of a narrow light has the shape of the microfacets, that of a wide one the light's own. In between,
-    the fraction falls slowly, because samples follow light only within some frames.
+    the fraction falls slowly, because samples follow light only within some frames. ``radius`` is `angular_radius`.
     """
     if lobe.specular <= 0.0:
         return 1.0
-    radius = angular_radius(number, interaction.position, scene)
     return wp.clamp((WIDE - radius / lobe.alpha) / (WIDE - NARROW), 0.0, 1.0)
 
 
@@ -155,7 +154,7 @@ def choice_weight(
     weight = float(0.0)
     shown = float(0.0)
     if has_visibility(number, scene):
-        shown = remembered_highlight(number, interaction, lobe, scene)
+        shown = remembered_highlight(angular_radius(number, interaction.position, scene), lobe)
         count = float(remembered.counts[pixel, number])
         variance = sample_variance(luminance(unpack(remembered.packed[pixel, number])), count)
         weight = wp.sqrt(variance / (count + 1.0)) * importance
@@ -200,6 +199,7 @@ class RememberedSample:
     diffuse: float
     """Factor of the diffuse light that the visibility leaves out."""
     glossy: float
+    """Factor of the highlight that the visibility leaves out, and of the part of it that is sampled."""
 
 
 @wp.func

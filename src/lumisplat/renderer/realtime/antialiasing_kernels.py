@@ -5,6 +5,7 @@ import warp as wp
 from lumisplat.constants import STILL_PX
 from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.film.samples import first_surface, is_finite
+from lumisplat.device.gi.filter_weights import share_within
 from lumisplat.device.gi.surfaces import (
     InstanceMotion,
     SequenceData,
@@ -216,11 +217,7 @@ def unchanged_share(
                 variance += 0.5 * changes[tap]
                 total += mean
     by_chance = SIGMAS * wp.sqrt(variance) + CHANGE * total
-    distance = wp.abs(difference)
-    if distance <= by_chance:
-        return 1.0
-    ratio = by_chance / distance
-    return ratio * ratio * ratio * ratio
+    return share_within(wp.abs(difference), by_chance)
 
 
 @wp.func
@@ -243,10 +240,7 @@ def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], me
     outside = wp.max(wp.max(low - mean, mean - high))
     # Relative to the brighter of pixel and history; else histories would darken faster than brighten.
     tolerated = LEAST * wp.max(total / count, luminance(mean))
-    if outside <= tolerated:
-        return 1.0
-    ratio = wp.max(tolerated, 0.0) / outside
-    return ratio * ratio * ratio * ratio
+    return share_within(outside, wp.max(tolerated, 0.0))
 
 
 @wp.kernel

@@ -6,7 +6,14 @@ edge-avoiding wavelets (Dammertz et al. 2010) with weights of compact support (d
 
 import warp as wp
 
-from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight, step_weight
+from lumisplat.device.gi.filter_weights import (
+    WEIGHT_MIN,
+    falloff,
+    luminance_weight,
+    normal_weight,
+    share_within,
+    step_weight,
+)
 from lumisplat.device.gi.surfaces import (
     FilteredLight,
     LightHistory,
@@ -191,10 +198,7 @@ def retained_share(change: LightChange, shared: float) -> float:
         return 1.0
     least = CHANGED_LEAST * change.expected
     by_chance = CHANGED_SIGMAS * wp.sqrt(wp.min(shared, change.count) * change.variance + least * least)
-    if wp.abs(difference) <= by_chance:
-        return 1.0
-    ratio = by_chance / wp.abs(difference)
-    return ratio * ratio * ratio * ratio
+    return share_within(wp.abs(difference), by_chance)
 
 
 @wp.func
@@ -205,11 +209,7 @@ def share_inside(change: LightChange, held: float) -> float:
     outside by at most a tolerance, `CHANGE_LEAST` times ``held``. Farther outside, it is (tolerance / distance)^4.
     """
     outside = wp.max(change.lowest - held, held - change.highest)
-    tolerated = CHANGED_LEAST * held
-    if outside <= tolerated:
-        return 1.0
-    ratio = tolerated / outside
-    return ratio * ratio * ratio * ratio
+    return share_within(outside, CHANGED_LEAST * held)
 
 
 @wp.func

@@ -6,7 +6,14 @@ The method is in docs/method/realtime.md#visibility.
 import warp as wp
 
 from lumisplat.device.camera.pixels import pixel_number
-from lumisplat.device.gi.filter_weights import WEIGHT_MIN, falloff, luminance_weight, normal_weight, step_weight
+from lumisplat.device.gi.filter_weights import (
+    WEIGHT_MIN,
+    falloff,
+    luminance_weight,
+    normal_weight,
+    share_within,
+    step_weight,
+)
 from lumisplat.device.gi.light_visibility import (
     LightColors,
     LightValues,
@@ -114,6 +121,15 @@ def store_visibility(
     sample_out.visibility[pixel] = passed
 
 
+@wp.func
+def is_partial(visibility: wp.vec3, count: float) -> bool:
+    """Returns whether a visibility of ``count`` samples is to be filtered; without samples, it is a mean already."""
+    if count <= 0.0:
+        return False
+    bright = luminance(visibility)
+    return count < CERTAIN_FRAMES or (bright > CERTAIN and bright < 1.0 - CERTAIN)
+
+
 @wp.kernel
 def update_visibility(
     start: int,
@@ -184,22 +200,20 @@ def update_visibility(
                     if light >= 0:
                         passed = of_visibility[tap]
                         mean = luminance(unpack(packed[tap, light]))
-                        is_old = light_kept[light] != 0 and counts[pixel, light] > wp.uint8(0)
-                        is_alike = True
+                        count = float(counts[tap, light])
                         is_witness = False
                         weight = float(1.0)
-                        if is_old:
-                            is_alike = wp.abs(mean - luminance(unpack(packed[pixel, light]))) < ALIKE
-                            is_alike = is_alike and counts[tap, light] > wp.uint8(0)
+                        if light_kept[light] != 0 and counts[pixel, light] > wp.uint8(0):
+                            if count <= 0.0 or wp.abs(mean - luminance(unpack(packed[pixel, light]))) >= ALIKE:
+                                weight = 0.0
                             is_witness = (row + column - x - y) % 2 != 0
                         else:
                             weight = falloff(0.5 * float((row - y) * (row - y) + (column - x) * (column - x)))
-                        if is_alike and not is_witness:
+                        if not is_witness:
                             for channel in range(3):
                                 found[light, channel] = found[light, channel] + weight * passed[channel]
                             sampled[light] = sampled[light] + weight
-                        count = float(counts[tap, light])
-                        if is_alike and is_witness and count > 0.0:
+                        elif weight > 0.0:
                             difference[light] = difference[light] + luminance(passed) - mean
                             variance[light] = variance[light] + (1.0 + 1.0 / count) * sample_variance(mean, count)
                     if is_new:
@@ -225,12 +239,9 @@ def update_visibility(
             value += (sampled[number] / (count + sampled[number])) * (around - value)
         else:
             by_chance = CHANGE_SIGMAS * wp.sqrt(variance[number])
-            distance = wp.abs(difference[number])
-            if distance > by_chance:
-                ratio = by_chance / distance
-                retained = ratio * ratio * ratio * ratio
-                count *= retained
-                value += (1.0 - retained) * (sampled[number] / (sampled[number] + 1.0)) * (around - value)
+            retained = share_within(wp.abs(difference[number]), by_chance)
+            count *= retained
+            value += (1.0 - retained) * (sampled[number] / (sampled[number] + 1.0)) * (around - value)
         if own == number:
             if light_kept[number] != 0:
                 value += (of_visibility[pixel] - value) / (count + 1.0)
@@ -238,10 +249,8 @@ def update_visibility(
         count = wp.round(count)
         if not has_visibility(number, scene):
             value = wp.vec3(0.0)
-        elif count > 0.0:  # else it is a mean over neighbours already
-            bright = luminance(value)
-            if count < CERTAIN_FRAMES or (bright > CERTAIN and bright < 1.0 - CERTAIN):
-                partial_out[pixel] = partial_out[pixel] | (1 << number)
+        elif is_partial(value, count):
+            partial_out[pixel] = partial_out[pixel] | (1 << number)
         visibility_out.packed[pixel, number] = pack(value)
         visibility_out.counts[pixel, number] = wp.uint8(count)
 
@@ -375,7 +384,7 @@ def add_remembered_light(
                 share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, center.direction)
                 scattered = wp.cw_mul(share, at_center)
                 diffuse += wp.cw_mul(scattered, irradiance)
-                shown = remembered_highlight(number, interaction, lobe, scene)
+                shown = remembered_highlight(radius, lobe)
                 if shown <= 0.0:
                     continue
                 wide = of_normals + 0.25 * radius * radius

@@ -24,7 +24,7 @@ from lumisplat.device.gi.surfaces import (
 )
 from lumisplat.device.light.direct_light import CHOICE_BRANCH, sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.lobe_lights import eval_in_pixel, lobe_at, relevant_footprint, widened
+from lumisplat.device.light.lobe_lights import angular_radius, eval_in_pixel, lobe_at, relevant_footprint, widened
 from lumisplat.device.material.bsdf import bsdf_eval, diffuse_share
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
@@ -132,7 +132,8 @@ def sample_lights(
         if choice.number < 0:
             return
         if has_visibility(choice.number, scene):
-            shown = remembered_highlight(choice.number, interaction, lobe_at(interaction), scene)
+            radius = angular_radius(choice.number, interaction.position, scene)
+            shown = remembered_highlight(radius, lobe_at(interaction))
             interaction.bsdf = widened(bsdf, footprint)
             sampled = sample_remembered(
                 i, slot, choice, shown, interaction, no_shadows, scene, wave, light_out, rays_out

@@ -33,7 +33,7 @@ CHANGED_HISTORY_WEIGHT = 0.7
 means then cover about three frames."""
 
 BRIGHTENED_HISTORY_WEIGHT = 0.5
-"""As `CHANGED_HISTORY_WEIGHT`, after the strength of a light changes a little: all of its light is then outdated."""
+"""It replaces `CHANGED_HISTORY_WEIGHT` after the strength of a light changes: all of its light is then outdated."""
 
 CHANGED_FRAMES = 8
 """Number of frames for which the weight of cached lighting is reduced after lights change."""
