@@ -177,7 +177,6 @@ class Viewer:
         still_renderer = StillRenderer(self._loop.scenes, device, self._loop.must_yield)
         context = JobContext(
             self._session,
-            self._pages,
             BackgroundJobs(gui, self._loop.run_in_background),
             still_renderer,
             self._loop.thumbnail,
@@ -197,7 +196,7 @@ class Viewer:
             self._timeline = Timeline(gui, self._session, self._fly)
             VideoPanel(gui, context)
         with tabs.add_tab("Save"):
-            self._files = FilesPanel(gui, self._notifications, self._session, self._pages)
+            self._files = FilesPanel(gui, self._notifications, self._session)
             with gui.add_folder("images"):
                 ImagesPanel(gui, context)
         self._add_keys()

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.panels.background_jobs import pose_of_page
+from lumisplat.viewer.panels.background_jobs import view_callback
 from lumisplat.viewer.server.event_queue import queued_callback
 from lumisplat.viewer.session import Session
 
@@ -44,14 +42,12 @@ class AddPanel:
     Args:
         gui: Controls of the pages.
         session: Session to edit.
-        pages: Open pages by connection id.
     """
 
-    def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
-        self._session, self._pages = session, pages
+    def __init__(self, gui: viser.GuiApi, session: Session) -> None:
+        self._session = session
         self._what = gui.add_dropdown("type", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
-        add: Any = queued_callback(lambda event: (event, str(self._what.value)), self._add)
-        gui.add_button("add").on_click(add)
+        gui.add_button("add").on_click(view_callback(session, self._add, lambda: (str(self._what.value),)))
         hint = "Captures, meshes and environment images in the folder of the scene file."
         self._file = gui.add_dropdown("file in scene folder", [_NOTHING], hint=hint)
         hint = "Plays the animation clip of the file, receives light from the capture and casts shadows on it."
@@ -77,16 +73,14 @@ class AddPanel:
         except OSError:
             return []
 
-    def _add(self, asked: tuple[Any, str]) -> None:
+    def _add(self, _: Any, pose: Pose, label: str) -> None:
         """Adds a light in the page's view, an environment, or a shape beside the other objects.
 
         Args:
-            asked: Event of the page, and the label of the pressed button, such as ``spot light``.
+            pose: Camera of the page.
+            label: Chosen type, such as ``spot light``.
         """
-        event, kind = asked[0], asked[1].removesuffix(" light")
-        pose = pose_of_page(self._pages, event)
-        if pose is None:
-            return
+        kind = label.removesuffix(" light")
         tables = light_tables(pose, np.array(self._session.scene.up_direction))
         if kind == "environment":
             self._insert("environment", {"color": [1.0, 1.0, 1.0], "visible": False})

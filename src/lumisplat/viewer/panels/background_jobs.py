@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.viewer.frames.page import Page, Picture
+from lumisplat.viewer.frames.page import Picture
 from lumisplat.viewer.frames.pose import ASPECT, FirstView, Pose
 from lumisplat.viewer.frames.scene_builder import SceneBuilder
 from lumisplat.viewer.scene_extent import Extent
-from lumisplat.viewer.server.event_queue import press_callback
+from lumisplat.viewer.server.event_queue import press_callback, queued_callback
 from lumisplat.viewer.server.page_server import PageServer
 from lumisplat.viewer.session import Session
 
@@ -214,21 +214,30 @@ class BackgroundJobs:
 
 @dataclass(frozen=True)
 class JobContext:
-    """Context of background jobs: the session, the open pages, the job runner and the still renderer."""
+    """Context of background jobs: the session, the job runner and the still renderer."""
 
     session: Session
-    pages: Mapping[int, Page]
-    """Open pages of the viewer, by viser's connection id."""
     jobs: BackgroundJobs
     still_renderer: StillRenderer
     thumbnail: Callable[[ls.Camera, Callable[[Picture], object]], None]
     """Function that renders a small image from a camera once no view moves, and passes the image to a function."""
 
 
-def pose_of_page(pages: Mapping[int, Page], event: Any) -> Pose | None:
-    """Returns the camera of the page that sent an event; None if the page has closed or has reported no camera yet."""
-    page = pages.get(event.client_id)
-    return None if page is None else page.pose
+def view_callback(session: Session, act: Callable[..., object], controls: Callable[[], tuple[Any, ...]] = tuple) -> Any:
+    """Returns a callback for a button that uses the page's camera as it was when the button was pressed.
+
+    Args:
+        session: Session of the pages.
+        act: Handles the press, in a thread; called with the event, the camera's `Pose` and the values of ``controls``.
+        controls: Reads values of other controls at the time of the press.
+    """
+
+    def read(event: Any) -> tuple[Any, ...] | None:
+        if event.client is None:  # the page has closed, or has reported no camera yet
+            return None
+        return event, Pose.of(event.client.camera, session.extent.page_from_scene), *controls()
+
+    return queued_callback(read, lambda values: act(*values))
 
 
 def file_bytes(name: str, write: Callable[[Path], None]) -> bytes:

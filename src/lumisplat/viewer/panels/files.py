@@ -13,15 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.panels.background_jobs import (
     JobContext,
     Steps,
     captures_html,
     file_bytes,
-    pose_of_page,
     still_config,
+    view_callback,
 )
 from lumisplat.viewer.panels.status import Notifications
 from lumisplat.viewer.server.event_queue import press_callback
@@ -43,17 +42,14 @@ class FilesPanel:
         gui: Controls of the pages.
         notifications: Shows notifications on pages.
         session: Session to save.
-        pages: Open pages by connection id.
     """
 
-    def __init__(
-        self, gui: viser.GuiApi, notifications: Notifications, session: Session, pages: dict[int, Page]
-    ) -> None:
-        self._notifications, self._session, self._pages = notifications, session, pages
+    def __init__(self, gui: viser.GuiApi, notifications: Notifications, session: Session) -> None:
+        self._notifications, self._session = notifications, session
         self._name = gui.add_text("scene file", "edited.toml", hint="File name, in the folder of the opened scene.")
         self._overwrite = gui.add_checkbox("overwrite", False, hint="Replaces an existing file of that name.")
         gui.add_button("save scene").on_click(press_callback(lambda _: self.save()))
-        gui.add_button("command line").on_click(press_callback(self._show_command))
+        gui.add_button("command line").on_click(view_callback(session, self._show_command))
 
     def suggest(self, document: ls.io.SceneDocument) -> None:
         """Fills in a file name to save a document under, other than the name of the file it was opened from."""
@@ -90,11 +86,8 @@ class FilesPanel:
         folder = self._session.state.document.file.absolute().parent
         return folder / name if _PLAIN_NAME.fullmatch(name) else None
 
-    def _show_command(self, event: Any) -> None:
+    def _show_command(self, event: Any, pose: Pose) -> None:
         client: viser.ClientHandle = event.client
-        pose = pose_of_page(self._pages, event)
-        if pose is None:
-            return
         line = command_line(self._target() or Path("edited.toml"), pose, self._session)
         with client.gui.add_modal("command line") as modal:
             client.gui.add_markdown("Save the scene, then run this command to render the same view:")
@@ -143,7 +136,7 @@ class ImagesPanel:
 
     Args:
         gui: Controls of the pages.
-        context: Session, pages and job runner.
+        context: Session and job runner.
     """
 
     def __init__(self, gui: viser.GuiApi, context: JobContext) -> None:
@@ -154,23 +147,20 @@ class ImagesPanel:
         self._samples = gui.add_number("samples per pixel", 64, min=1, max=65536, step=1)
         self._format = gui.add_dropdown("format", FORMATS, hint="PNG: as displayed. EXR: linear radiance, with layers.")
         self._layers = gui.add_text("layers", "", hint=_LAYERS_HINT)
-        gui.add_button("render image").on_click(press_callback(self._for_page(self._picture)))
+        gui.add_button("render image").on_click(self._callback(self._picture))
         hint = "Exports the captures, unlit, as one file that opens in any browser without a server."
-        gui.add_button("export captures as HTML", hint=hint).on_click(
-            press_callback(self._for_page(self._export_captures))
-        )
+        gui.add_button("export captures as HTML", hint=hint).on_click(self._callback(self._export_captures))
 
-    def _for_page(self, start: Callable[[viser.ClientHandle, Pose], None]) -> Callable[[Any], None]:
-        def on_click(event: Any) -> None:
-            pose = pose_of_page(self._context.pages, event)
-            if pose is None:
-                return
+    def _callback(self, start: Callable[[viser.ClientHandle, Pose], None]) -> Any:
+        """Returns a button's callback that calls ``start`` and reports its errors."""
+
+        def on_click(event: Any, pose: Pose) -> None:
             try:
                 start(event.client, pose)
             except ls.LumisplatError as error:
                 self._session.report(str(error))
 
-        return on_click
+        return view_callback(self._session, on_click)
 
     def _picture(self, client: viser.ClientHandle, pose: Pose) -> None:
         """Starts a background job that renders a page's view in the chosen size, and sends the file to the page."""

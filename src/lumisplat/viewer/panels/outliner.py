@@ -50,7 +50,7 @@ class Outliner:
         self._placement_buttons.on_click(press)
         self._inspector = Inspector(gui, session, gui.add_folder(None))
         with gui.add_folder("add", expand_by_default=False):
-            self._adding = AddPanel(gui, session, pages)
+            self._adding = AddPanel(gui, session)
         with gui.add_folder("level"):
             self.level = LevelPanel(gui, session, notify)
         session.on_change(self._show)

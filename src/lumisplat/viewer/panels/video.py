@@ -19,8 +19,8 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Picture, frame_image
-from lumisplat.viewer.frames.pose import move_page_to
-from lumisplat.viewer.panels.background_jobs import JobContext, Steps, file_bytes, pose_of_page, still_config
+from lumisplat.viewer.frames.pose import Pose, move_page_to
+from lumisplat.viewer.panels.background_jobs import JobContext, Steps, file_bytes, still_config, view_callback
 from lumisplat.viewer.panels.buttons import Channel, button
 from lumisplat.viewer.panels.files import HEIGHTS
 from lumisplat.viewer.server.event_queue import press_callback, value_callback
@@ -41,7 +41,7 @@ class VideoPanel:
 
     Args:
         gui: Controls of the pages.
-        context: Session, pages and job runner. The camera path is the document's first camera with keyframes.
+        context: Session and job runner. The camera path is the document's first camera with keyframes.
     """
 
     def __init__(self, gui: viser.GuiApi, context: JobContext) -> None:
@@ -55,7 +55,9 @@ class VideoPanel:
         hint = "Time from the last key view to the new one."
         self._seconds = gui.add_number("seconds to next", 2.0, min=0.1, max=3600.0, step=0.1, hint=hint)
         hint = "Appends the view of this page to the camera path."
-        gui.add_button("add key view", hint=hint).on_click(press_callback(self._add))
+        gui.add_button("add key view", hint=hint).on_click(
+            view_callback(self._session, self._add, lambda: (float(self._seconds.value),))
+        )
         gui.add_button("delete all key views").on_click(press_callback(self._delete_all))
         self._fps = gui.add_number("frames per second", 25.0, min=1.0, max=50.0, step=1.0)
         self._fps.on_update(value_callback(float, self._put_fps))
@@ -63,7 +65,7 @@ class VideoPanel:
             self._height = gui.add_number("height (px)", 540, min=HEIGHTS[0], max=HEIGHTS[1], step=2)
             self._samples = gui.add_number("samples per pixel", 8, min=1, max=65536, step=1)
             self._format = gui.add_dropdown("format", FORMATS, hint="mp4 needs: pip install 'lumisplat[video]'")
-            gui.add_button("render video").on_click(press_callback(self._render))
+            gui.add_button("render video").on_click(view_callback(self._session, self._render))
         self._shown: object = None
         self._session.on_change(self._show)
 
@@ -98,12 +100,8 @@ class VideoPanel:
     def _put_fps(self, fps: float) -> None:
         self._session.apply(lambda document: document.with_animation(fps=fps), merge="fps")
 
-    def _add(self, event: Any) -> None:
-        pose = pose_of_page(self._context.pages, event)
-        if pose is None:
-            return
+    def _add(self, _: Any, pose: Pose, seconds: float) -> None:
         key = Key(pose.camera(_KEY_ROWS, self._session.state.exposure), pose.target)
-        seconds = float(self._seconds.value)
         self._session.apply(lambda document: with_key(document, key, seconds))
 
     def _sooner(self, number: int) -> None:
@@ -126,10 +124,8 @@ class VideoPanel:
         if keys_of(self._session.state.document):
             self._session.apply(without_camera_path)
 
-    def _render(self, event: Any) -> None:
-        pose, still_renderer = pose_of_page(self._context.pages, event), self._context.still_renderer
-        if pose is None:
-            return
+    def _render(self, event: Any, pose: Pose) -> None:
+        still_renderer = self._context.still_renderer
         state, suffix = self._session.state, str(self._format.value)
         animation = state.document.animation
         if animation is None or (len(keys_of(state.document)) == 1 and not animation.actors):
