@@ -12,13 +12,19 @@ angle give no light to pixels without samples."""
 
 WEIGHT_MIN = wp.constant(wp.float32(WEIGHT_LEAST))
 SIGMAS = wp.constant(wp.float32(LUMINANCE_SIGMAS))
-TINY = wp.constant(wp.float32(1e-8))
+TINY = wp.constant(wp.float32(1e-16))
 
 
 @wp.func
 def falloff(x: float) -> float:
     """Returns a smooth approximation of exp(-x^2 / 3) that is exactly 0 from x = 3 on."""
-    rest = wp.max(1.0 - x * x / 9.0, 0.0)
+    return falloff_by_square(x * x)
+
+
+@wp.func
+def falloff_by_square(x2: float) -> float:
+    """Returns `falloff` of the square root of ``x2``."""
+    rest = wp.max(1.0 - x2 / 9.0, 0.0)
     return rest * rest * rest
 
 
@@ -38,15 +44,12 @@ def step_weight(row: int, column: int, radius: int) -> float:
 
 
 @wp.func
-def luminance_weight(difference: float, variance: float, other: float) -> float:
-    """Returns a neighbour's weight by luminance difference, relative to the geometric mean of two standard deviations.
+def luminance_weight(difference: float, variance: float) -> float:
+    """Returns a neighbour's weight by the difference between its luminance and the pixel's.
 
-    Args:
-        difference: Difference between the luminances of pixel and neighbour.
-        variance: Variance of the pixel's luminance.
-        other: Variance of the neighbour's luminance.
+    ``variance`` is that of the luminances: the product of both standard deviations.
     """
-    return falloff(difference / (SIGMAS * wp.sqrt(wp.sqrt(variance * other)) + TINY))
+    return falloff_by_square(difference * difference / wp.max(SIGMAS * SIGMAS * variance, TINY))
 
 
 @wp.func

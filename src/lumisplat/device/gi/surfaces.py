@@ -175,8 +175,8 @@ class FilteredLight:
 
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]
-    variance: wp.array[wp.vec2]
-    """Variance of the luminance of diffuse light (x) and of glossy light (y)."""
+    deviation: wp.array[wp.vec2]
+    """Standard deviation of the luminance of diffuse light (x) and of glossy light (y)."""
 
 
 @struct

@@ -77,8 +77,8 @@ class LightFilter:
         """Averages each pixel's light with its neighbours', in passes of doubling pixel distance (a-trous wavelets)."""
         light = FilteredLight()
         light.diffuse, light.glossy = history.diffuse, history.glossy
-        light.variance = self._buffers.get("filter.variance", wp.vec2, len(history.frames))
-        self._run(scene, kernels.estimate_variance, surfaces.now, scene.camera, history, light.variance)
+        light.deviation = self._buffers.get("filter.deviation", wp.vec2, len(history.frames))
+        self._run(scene, kernels.estimate_deviation, surfaces.now, scene.camera, history, light.deviation)
         for number in range(self._config.passes):
             is_last = number == self._config.passes - 1
             name = f"{self._name}.filtered" if is_last else f"filter.pass{number % 2}"

@@ -309,21 +309,21 @@ def variance_of(moments: wp.vec4) -> wp.vec2:
 
 
 @wp.kernel
-def estimate_variance(
+def estimate_deviation(
     start: int,
     size: wp.vec2i,
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
     history: LightHistory,
-    variance_out: wp.array[wp.vec2],
+    deviation_out: wp.array[wp.vec2],
 ):
-    """Per pixel: estimates the variance of the pixel's mean over frames.
+    """Per pixel: estimates the standard deviation of the pixel's mean over frames.
 
     For many frames, the temporal variances of the 3 x 3 pixels are averaged, because one pixel may have missed rare
     samples. For few frames, the variance over pixels and frames of 7 x 7 pixels is used.
     """
     pixel = start + wp.tid()
-    variance_out[pixel] = wp.vec2(0.0)
+    deviation_out[pixel] = wp.vec2(0.0)
     frames = history.frames[pixel]
     if frames <= 0.0:
         return
@@ -356,7 +356,8 @@ def estimate_variance(
                     count += 1.0
     if is_young:
         variance = count * variance_of(moments / count)
-    variance_out[pixel] = variance / (count * frames)
+    variance /= count * frames
+    deviation_out[pixel] = wp.vec2(wp.sqrt(variance[0]), wp.sqrt(variance[1]))
 
 
 @wp.func
@@ -393,16 +394,16 @@ def filter_pass(
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         frames: Number of frames in each pixel's mean; a pixel with 0 takes the light of its neighbours.
-        light: Light with its variances.
+        light: Light with its standard deviations.
         light_out: Filtered light.
     """
     pixel = start + wp.tid()
     diffuse = light.diffuse[pixel]
     glossy = light.glossy[pixel]
-    variance = light.variance[pixel]
+    deviation = light.deviation[pixel]
     light_out.diffuse[pixel] = diffuse
     light_out.glossy[pixel] = glossy
-    light_out.variance[pixel] = variance
+    light_out.deviation[pixel] = deviation
     if surfaces.share[pixel] <= 0.0:
         return
     x = pixel % size[0]
@@ -423,7 +424,7 @@ def filter_pass(
     positions = surfaces.position
     of_diffuses = light.diffuse
     of_glossies = light.glossy
-    variances = light.variance
+    deviations = light.deviation
     is_known = wp.where(frames[pixel] > 0.0, 1.0, 0.0)
     weights = wp.vec2(0.0)
     diffuse_sum = wp.vec3(0.0)
@@ -446,28 +447,30 @@ def filter_pass(
             if weight <= WEIGHT_MIN:
                 continue
             weight *= step_weight(row, column, radius)
-            tap_variance = variances[tap]
+            tap_deviation = deviations[tap]
             tap_diffuse = of_diffuses[tap]
             difference = is_known * (luminance(tap_diffuse) - bright[0])
-            of_diffuse = weight * luminance_weight(difference, variance[0], tap_variance[0])
+            of_diffuse = weight * luminance_weight(difference, deviation[0] * tap_deviation[0])
             diffuse_sum += of_diffuse * tap_diffuse
             tap_glossy = of_glossies[tap]
             difference = is_known * (luminance(tap_glossy) - bright[1])
-            of_glossy = weight * luminance_weight(difference, variance[1], tap_variance[1])
+            of_glossy = weight * luminance_weight(difference, deviation[1] * tap_deviation[1])
             turned = half_turn(offset, normal, tap_normal, view, per_view)
             of_turn = lobe_weight(turned, per_turn2)
             of_glossy *= of_turn
             whole += wp.vec2(weight, of_turn * weight)
             glossy_sum += of_glossy * tap_glossy
             weights += wp.vec2(of_diffuse, of_glossy)
-            squares += wp.vec2(of_diffuse * of_diffuse * tap_variance[0], of_glossy * of_glossy * tap_variance[1])
+            of_each = wp.cw_mul(wp.vec2(of_diffuse, of_glossy), tap_deviation)
+            squares += wp.cw_mul(of_each, of_each)
     # Weights by luminance are the same both ways, and do not change the sum of weights, so that no light is lost.
     own = is_known * (whole - weights)
     weights += own
-    squares += wp.vec2(own[0] * own[0] * variance[0], own[1] * own[1] * variance[1])
+    of_own = wp.cw_mul(own, deviation)
+    squares += wp.cw_mul(of_own, of_own)
     if weights[0] > 0.0:
         light_out.diffuse[pixel] = (diffuse_sum + own[0] * diffuse) / weights[0]
-        light_out.variance[pixel][0] = squares[0] / (weights[0] * weights[0])
+        light_out.deviation[pixel][0] = wp.sqrt(squares[0]) / weights[0]
     if weights[1] > 0.0:
         light_out.glossy[pixel] = (glossy_sum + own[1] * glossy) / weights[1]
-        light_out.variance[pixel][1] = squares[1] / (weights[1] * weights[1])
+        light_out.deviation[pixel][1] = wp.sqrt(squares[1]) / weights[1]

@@ -334,7 +334,7 @@ def filter_visibility(
                     of_other = mean_variance(other, float(counts[tap, number]))
                     distance = wp.max(float(step), 2.0) * (luminance(other) - luminance(value))
                     least = wp.min(variance, of_other)
-                    of_light = weight * luminance_weight(distance, least, least)
+                    of_light = weight * luminance_weight(distance, least)
                     for channel in range(3):
                         sums[number, channel] = sums[number, channel] + of_light * (other[channel] - value[channel])
     for number in range(lights):
