@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -214,6 +215,20 @@ def test_realtime_contact_shadows_of_captured_lights_match_the_path_tracer() -> 
     errors = (found - expected) / np.maximum(expected, 0.3 * expected.mean())
     assert np.sqrt((errors**2).mean()) < 0.13
     assert found.mean() == pytest.approx(expected.mean(), rel=0.03)
+
+
+def test_captured_light_beside_a_much_brighter_lamp_keeps_its_mean_on_a_floor() -> None:
+    """The captured light, the difference from a floor under a black capture, is within 3 % of paths."""
+    black = ls.gaussians_from_mesh(ls.plane(1.0, 1.0, material=diffuse(0.0)), 1500)
+    lamp = ls.LightPoint(position=(1.5, 2.0, 1.0), intensity=30.0)
+    scenes = [ls.Scene([replace(placed(1.0), gaussians=of)], [FLOOR], [lamp]) for of in (CAPTURED_LIGHT, black)]
+    camera = ls.Camera.look_at((0.0, 0.6, 3.0), (0.0, 0.0, 0.2), width=48, height=32, fov_y=0.4)
+    frames = [after(scene, 32, camera, max_bounces=0) for scene in scenes]
+    truths = [paths(scene, 128, camera, max_bounces=0) for scene in scenes]
+    floor = frames[0].instance_index == 1
+    (lit, unlit), (truth, dark) = ([float(one.color[floor].mean()) for one in of] for of in (frames, truths))
+    assert truth < 1.2 * dark
+    assert lit - unlit == pytest.approx(truth - dark, rel=0.03)
 
 
 def test_realtime_captured_light_through_glass_matches_the_path_tracer() -> None:

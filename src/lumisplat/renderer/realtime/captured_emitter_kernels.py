@@ -13,7 +13,7 @@ from lumisplat.device.light.direct_light import contribution_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.shadow_rays import start_shadow_ray
 from lumisplat.device.material.bsdf import diffuse_share
-from lumisplat.device.math.color import captured_color, is_black
+from lumisplat.device.math.color import captured_color, is_black, luminance
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.device.structs.shading import LightSample, ShadingScene, WaveData
@@ -28,7 +28,15 @@ box."""
 RAY_BRANCH = wp.constant(11)
 """Number that derives a random key from a camera ray's key: the key of a ray from a surface towards captures. That key
 decides which Gaussians the ray hits."""
+ROULETTE_BRANCH = wp.constant(12)
+"""Number that derives a random key from a ray's key: the key that decides whether a ray towards captures is sent."""
+KNOWN_SHARE = wp.constant(wp.float32(0.5))
+"""A ray that is expected to add less than this fraction of a pixel's known light is sent with a chance in proportion.
+"""
+CHANCE_MIN = wp.constant(wp.float32(0.1))
+"""Smallest chance with which a ray is sent."""
 OPAQUE = wp.constant(wp.float32(EMITTER_OPAQUE))
+TINY = wp.constant(wp.float32(1e-30))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 
 
@@ -40,10 +48,14 @@ def start_captured_rays(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     slots: wp.array[int],
+    known_diffuse: wp.array[wp.vec3],
+    known_glossy: wp.array[wp.vec3],
     light_out: PixelLight,
     rays_out: RayData,
 ):
     """Per camera ray: starts a ray from one surface of its pixel to a random point in the boxes around captures.
+
+    Where the pixel is known to be bright, few rays are sent, each with a higher weight (Russian roulette).
 
     Args:
         start: Offset added to the thread index.
@@ -53,6 +65,8 @@ def start_captured_rays(
         scene: The scene.
         wave: The camera rays; each pixel's light sample has its number in a low-discrepancy sequence.
         slots: For each camera ray, which of its two surfaces has a light sample; -1: none.
+        known_diffuse: Diffuse light of each camera ray that needs no samples.
+        known_glossy: The same for glossy light.
         light_out: Reflected radiance for incoming radiance 1, divided by the pdf of the direction.
         rays_out: The rays; they end behind the boxes.
     """
@@ -80,6 +94,14 @@ def start_captured_rays(
     contribution = contribution_of(interaction, sample, 1.0)
     if is_black(contribution.color):
         return
+    faces = wp.dot(box.half, wp.vec3(box.half[1], box.half[2], box.half[0]))
+    radiance = scene[0].settings[0].capture_gain * box.power / (8.0 * faces)
+    expected = radiance * luminance(contribution.color)
+    known = luminance(known_diffuse[i] + known_glossy[i])
+    chance = wp.clamp(expected / wp.max(KNOWN_SHARE * known, TINY), CHANCE_MIN, 1.0)
+    if sobol_2d(branch_key(key, ROULETTE_BRANCH), number)[0] >= chance:
+        return
+    contribution.color = contribution.color / chance
     share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, contribution.direction)
     diffuse = wp.cw_mul(share, contribution.color)
     rest = float(1.0)

@@ -117,7 +117,7 @@ class PixelLights:
                     part, before = self._visibilities[kind.kind], remembered[kind.kind]
                     now = part.update(scene, kind, light, rays, visibility=visibility, before=before, parity=parity)
                     part.add(scene, wave, kind, now, layers=layers, no_shadows=not plan.casts_shadows)
-        self._add_captured(scene, plan, wave, light, rays, visibility=visibility)
+        self._add_captured(scene, plan, wave, light, rays, visibility=visibility, layers=layers)
         with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
@@ -194,8 +194,9 @@ class PixelLights:
         rays: RayData,
         *,
         visibility: DeviceArray,
+        layers: tuple[DeviceArray, DeviceArray],
     ) -> None:
-        """Adds the light of captures that count as lights, with one ray for each light sample.
+        """Adds the light of captures that count as lights, with at most one ray for each light sample.
 
         Afterwards, the samples include the ``visibility`` of their shadow rays, and no shadow ray is active.
         """
@@ -207,7 +208,7 @@ class PixelLights:
         sent = self._buffers.struct("captured_light.rays", RayData, count)
         with self._launcher.stage("lights"):
             inputs = self._follows_lobes, boxes, scene.shading, wave.data
-            self._run(kernels.start_captured_rays, count, *inputs, light.slot, reflected, sent)
+            self._run(kernels.start_captured_rays, count, *inputs, light.slot, *layers, reflected, sent)
         meshes = self._tracer.find_meshes(scene, sent, "captured_light.meshes")
         ends, is_glass = get("captured_light.ends", wp.float32, count), get("captured_light.is_glass", wp.int32, count)
         run = self._launcher.run_banded
