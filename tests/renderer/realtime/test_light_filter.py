@@ -268,6 +268,24 @@ def test_light_denoiser_reprojects_histories_under_a_moving_camera(pixels: float
     np.testing.assert_allclose(found[inner, 0], truth[inner], atol=1e-4)
 
 
+@pytest.mark.parametrize("size", [(22, 15), (154, 96)], ids=["smaller", "larger"])
+def test_light_denoiser_keeps_histories_in_place_when_the_image_size_changes(size: tuple[int, int]) -> None:
+    """Light that varies linearly stays where it is; in larger images, a history counts by the area of its pixels."""
+    before = plane()
+    after = ls.Camera.look_at((0, 0, 3), (0, 0, 0), (0, 1, 0), width=size[0], height=size[1], fov_y=0.6)
+    seen = visible_plane(after, FRONT)
+    sequence = FilterSequence(passes=0)
+    for _ in range(8):
+        sequence.render(before, before.position + 3.0)
+    sequence.render(seen, np.zeros_like(seen.position), sampled=np.zeros(len(seen.position), bool))
+    shown = np.abs(before.position[:, :2]).max(axis=0)
+    inside = (np.abs(seen.position[:, :2]) < shown).all(axis=1)  # farther out, the smaller image has no four pixels
+    found = sequence.history().diffuse.numpy()
+    np.testing.assert_allclose(found[inside], seen.position[inside] + 3.0, atol=1e-4)
+    share = min((before.camera.fx / after.fx) ** 2, 1.0)
+    np.testing.assert_allclose(sequence.ages()[inside], 8.0 * share, rtol=1e-4)
+
+
 def test_light_denoiser_starts_disoccluded_pixels_without_history() -> None:
     """The pixels are behind a panel or at the image edge, and start with one frame and no light of other surfaces."""
     sequence = FilterSequence(passes=0)

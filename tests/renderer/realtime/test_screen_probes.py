@@ -154,6 +154,17 @@ def test_disoccluded_pixels_get_screen_probe_light_in_their_first_frame() -> Non
         np.testing.assert_allclose(light, np.broadcast_to(np.pi * GREY, light.shape), rtol=4e-6)
 
 
+@pytest.mark.parametrize("height", [48, 192])
+def test_screen_probes_keep_their_light_when_the_image_size_changes(height: int) -> None:
+    """When the light goes out with the change, four fifths of the pixels still have half of it."""
+    sequence = ProbeSequence(constant(GREY))
+    for _ in range(8):
+        before = sequence.render(visible_box(box_camera()))
+    sequence.tracer = constant(np.zeros(3))
+    kept = sequence.render(visible_box(box_camera(width=height * 5 // 3 + 1, height=height)))
+    assert (kept[:, 0] > 0.5 * before[:, 0].mean()).mean() > 0.8
+
+
 def behind_panel(surfaces: VisibleSurfaces) -> VisibleSurfaces:
     """Returns the surfaces with a panel before the left three quarters of the image."""
     camera, columns = surfaces.camera, np.tile(np.arange(surfaces.camera.width), surfaces.camera.height)

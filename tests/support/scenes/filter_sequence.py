@@ -15,6 +15,7 @@ from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
 from lumisplat.renderer.realtime.gbuffer_kernels import find_previous
 from lumisplat.renderer.realtime.light_filter import LightFilter
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.motion import in_size_of
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
 from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows, sequence_row
@@ -66,7 +67,9 @@ class FilterSequence:
         scene = SimpleNamespace(
             camera=camera_rows(seen.camera, offset=seen.offset),
             motion=SimpleNamespace(
-                camera=camera_rows(before.camera), sequence=sequence_row(self.frame, self.history_weight)
+                camera=camera_rows(in_size_of(seen.camera, before.camera)),
+                sequence=sequence_row(self.frame, self.history_weight, (before.camera, seen.camera)),
+                size_before=before.camera.image_size,
             ),
             image_size=(seen.camera.width, seen.camera.height),
         )
@@ -81,7 +84,8 @@ class FilterSequence:
         width, height = scene.image_size
         before = self._before or now
         reprojection = self._buffers.struct("reprojection", Reprojection, width * height)
-        inputs = [0, wp.vec2i(width, height), now, before, scene.camera, scene.motion.camera, reprojection]
+        inputs = [0, wp.vec2i(width, height), now, before, scene.motion.sequence]
+        inputs += [scene.camera, scene.motion.camera, reprojection]
         wp.launch(find_previous, width * height, inputs=inputs, device="cpu")
         return PixelSurfaces(1, now, before, reprojection)
 

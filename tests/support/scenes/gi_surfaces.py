@@ -12,6 +12,7 @@ import lumisplat as ls
 from lumisplat.device.gi.surfaces import SequenceData, SurfacePixels
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.renderer.scene.camera_table import CENTER, camera_table
+from lumisplat.renderer.scene.motion import previous_image
 from lumisplat.runtime.buffers import DeviceArray
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 
@@ -52,10 +53,14 @@ class VisibleSurfaces:
         return pixels
 
 
-def sequence_row(frame: int, history_weight: float = 1.0) -> DeviceArray:
-    """Returns a frame's number and weight of cached lighting as kernels read them."""
+def sequence_row(
+    frame: int, history_weight: float = 1.0, cameras: tuple[ls.Camera, ls.Camera] | None = None
+) -> DeviceArray:
+    """Returns a frame's number, weight of cached lighting, and ``cameras`` before and now, as kernels read them."""
     row = SequenceData()
     row.frame, row.history_weight = frame, history_weight
+    if cameras:
+        row.before = previous_image(*cameras)
     return upload_structs([row], SequenceData, "cpu")
 
 

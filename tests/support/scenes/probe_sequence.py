@@ -11,6 +11,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.config import ProbeConfig
 from lumisplat.renderer.realtime.screen_probes import ScreenProbes
+from lumisplat.renderer.scene.motion import in_size_of, previous_image
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
 from support.scenes.gi_surfaces import Doubles, VisibleSurfaces, camera_rows
@@ -40,10 +41,9 @@ class ProbeSequence:
     def place(self, surfaces: VisibleSurfaces) -> None:
         """Places the probes of a frame, its first step."""
         camera = surfaces.camera
-        before = camera_rows(self._before or camera)
-        size = camera.width, camera.height
-        self.probes.begin(size, self.frame)
-        self.probes.place(surfaces.upload(), camera_rows(camera), before)
+        before = self._before or camera
+        self.probes.begin(camera.image_size, self.frame, before.image_size, previous_image(before, camera))
+        self.probes.place(surfaces.upload(), camera_rows(camera), camera_rows(in_size_of(camera, before)))
         self._before = camera
 
     def trace(self) -> None:

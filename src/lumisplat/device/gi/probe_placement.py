@@ -6,7 +6,7 @@ The equations are in docs/method/realtime.md#screen-probes.
 import warp as wp
 
 from lumisplat.device.camera.camera import ORTHOGRAPHIC, pixel_of_point
-from lumisplat.device.gi.surfaces import SurfacePixels
+from lumisplat.device.gi.surfaces import PreviousImage, SurfacePixels
 from lumisplat.device.math.random import reversed_bits
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
@@ -38,6 +38,8 @@ class ProbeGrid:
     frame: int
     has_history: int
     """1: the previous frame is of the same sequence, so that its probes are continued; 0: all probes start anew."""
+    before: PreviousImage
+    """Images of the previous frame, and thereby its tiles."""
     seed: wp.uint32
 
 
@@ -270,9 +272,12 @@ def match_of(
     match.distance = wp.inf
     position = surfaces.previous[pixel]
     at = pixel_of_point(camera, position)
-    if not (at[0] >= 0.0 and at[1] >= 0.0 and at[0] < float(grid.width) and at[1] < float(grid.height)):
+    image = grid.before
+    there = wp.cw_mul(image.scale, at) + image.shift
+    size = image.size
+    if not (there[0] >= 0.0 and there[1] >= 0.0 and there[0] < float(size[0]) and there[1] < float(size[1])):
         return match
-    tile = tile_of(grid, int(at[0]) // grid.tile, int(at[1]) // grid.tile)
+    tile = int(there[1]) // grid.tile * ((size[0] + grid.tile - 1) // grid.tile) + int(there[0]) // grid.tile
     reach = reach_of(grid, camera, wp.length(position - camera.eye))
     for adaptive in range(2):
         i = probe_of_tile(tile, adaptive, adaptive_of)

@@ -89,6 +89,18 @@ class Reprojection:
 
 
 @struct
+class PreviousImage:
+    """Pixels of the previous frame's images, which may have another size than those of this frame."""
+
+    size: wp.vec2i
+    """Width and height, pixels."""
+    scale: wp.vec2
+    """A point at ``p`` in this frame's images is at ``scale * p + shift`` in the previous frame's, pixels from the
+    corner, if the camera has not moved."""
+    shift: wp.vec2
+
+
+@struct
 class SequenceData:
     """Number of a frame in its real-time sequence, and how far cached lighting is valid, in a 1-element array."""
 
@@ -96,6 +108,8 @@ class SequenceData:
     """Number of the frame, from 0."""
     history_weight: float
     """Factor on the weight of cached lighting in this frame, 0..1; 1 unless lighting has changed."""
+    before: PreviousImage
+    """Images of the previous frame."""
 
 
 @struct
@@ -356,6 +370,15 @@ NORMAL_MESH = wp.constant(wp.float32(SAME_NORMAL_MESH))
 NORMAL_SPLATS = wp.constant(wp.float32(SAME_NORMAL_SPLATS))
 
 STILL = wp.constant(wp.float32(STILL_PX))
+
+
+@wp.func
+def in_previous_image(pixel: wp.vec2, before: PreviousImage) -> wp.vec2:
+    """Returns where the previous frame's images show what would be at ``pixel`` in images of this frame's size.
+
+    Both positions are in pixels from the centre of the first pixel.
+    """
+    return wp.cw_mul(before.scale, pixel) + (before.shift + 0.5 * (before.scale - wp.vec2(1.0)))
 
 
 @wp.func

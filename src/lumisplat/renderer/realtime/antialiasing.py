@@ -42,7 +42,8 @@ class Antialiasing:
         size, radiance = wp.vec2i(width, height), wave.row.radiance
         pixels = self._buffers.struct("antialiasing.pixels", TemporalPixels, width * height)
         shares = self._buffers.get("antialiasing.shares", wp.vec3, wave.count)
-        before, now = (self._history(scene, number) for number in (frame - 1, frame))
+        sizes = (frame - 1, scene.motion.size_before), (frame, scene.image_size)
+        before, now = (self._history(*number) for number in sizes)
         if not self.has_history:
             device_array(before.frames).zero_()
         self.has_history = True
@@ -54,8 +55,8 @@ class Antialiasing:
         images |= {name: image for name, image in layers.items() if name in plan.aovs}
         images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_catchers else {}
         for name, image in images.items():
-            means = [self._mean(scene, name, number) for number in (frame - 1, frame)]
-            inputs = size, scene.camera, pixels, means[0], image, means[1]
+            means = [self._mean(name, *number) for number in sizes]
+            inputs = motion.sequence, scene.camera, pixels, means[0], image, means[1]
             self._run(kernels.blend, wave.count, *inputs)
         self._run(kernels.store_shares, wave.count, scene.camera, shares, wave.data)
 
@@ -63,10 +64,10 @@ class Antialiasing:
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernel, count, *inputs, bands=bands)
 
-    def _history(self, scene: DeviceScene, frame: int) -> TemporalHistory:
-        width, height = scene.image_size
+    def _history(self, frame: int, size: tuple[int, int]) -> TemporalHistory:
+        width, height = size
         return self._buffers.struct(f"antialiasing.history{frame % 2}", TemporalHistory, width * height)
 
-    def _mean(self, scene: DeviceScene, name: str, frame: int) -> DeviceArray:
-        width, height = scene.image_size
+    def _mean(self, name: str, frame: int, size: tuple[int, int]) -> DeviceArray:
+        width, height = size
         return self._buffers.get(f"antialiasing.{name}{frame % 2}", wp.vec3, width * height)

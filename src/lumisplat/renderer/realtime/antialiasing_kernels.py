@@ -12,6 +12,7 @@ from lumisplat.device.gi.surfaces import (
     TemporalHistory,
     TemporalPixels,
     has_left,
+    in_previous_image,
     mesh_before,
     motion_of,
     snapped,
@@ -279,25 +280,29 @@ def weight_history(
     change = float(0.0)
     position = wp.vec2(float(x), float(y))
     bright = luminance(color)
+    image = sequence[0].before
     if not wp.isnan(motion[0]):
+        has_same_size = image.size[0] == size[0] and image.size[1] == size[1]
         stands = is_still(motion)
         if not stands:
             position = wp.vec2(snapped(position[0] - motion[0]), snapped(position[1] - motion[1]))
+        stands = stands and has_same_size
+        position = in_previous_image(position, image)
         near_x = int(wp.round(position[0]))
         near_y = int(wp.round(position[1]))
-        if near_x >= 0 and near_x < size[0] and near_y >= 0 and near_y < size[1]:
-            tap = near_y * size[0] + near_x
+        if near_x >= 0 and near_x < image.size[0] and near_y >= 0 and near_y < image.size[1]:
+            tap = near_y * image.size[0] + near_x
             frames = history.frames[tap]
             if sequence[0].history_weight <= OUTDATED:
                 frames *= sequence[0].history_weight
             elif stands and sequence[0].history_weight < 1.0:
                 frames *= unchanged_share(x, y, size, colors, motions, history)
-            if position[0] != float(near_x) or position[1] != float(near_y):
+            if position[0] != float(near_x) or position[1] != float(near_y) or not has_same_size:
                 frames = wp.min(frames, MOVING)
             if frames > 0.0 and has_left(history.instance[tap], instance, moved_to):
                 frames = 0.0
             if frames > 0.0:
-                mean = image_at(history.color, size, position)
+                mean = image_at(history.color, image.size, position)
                 retained = float(1.0)
                 at_rest = stands and sequence[0].history_weight >= 1.0
                 if not (at_rest or (stands and is_noise(x, y, size, colors, motions, history))):
@@ -327,7 +332,7 @@ def weight_history(
 @wp.kernel
 def blend(
     start: int,
-    size: wp.vec2i,
+    sequence: wp.array[SequenceData],
     camera: wp.array[CameraData],
     pixels: TemporalPixels,
     before: wp.array[wp.vec3],
@@ -345,7 +350,7 @@ def blend(
     value = image_inout[i]
     weight = pixels.weight[pixel]
     if weight < 1.0:
-        mean = image_at(before, size, pixels.previous_pixel[pixel])
+        mean = image_at(before, sequence[0].before.size, pixels.previous_pixel[pixel])
         value = mean + weight * (value - mean)
     image_inout[i] = value
     after_out[pixel] = value

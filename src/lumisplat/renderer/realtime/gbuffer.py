@@ -57,7 +57,8 @@ class GBuffer:
         return surfaces
 
     def _store(self, scene: DeviceScene, wave: RayWave, frame: int, kind: int) -> PixelSurfaces:
-        now, before = self._pixels(scene, kind, frame), self._pixels(scene, kind, frame + 1)
+        now = self._pixels(scene.image_size, kind, frame)
+        before = self._pixels(scene.motion.size_before, kind, frame + 1)
         if kind not in self.kinds_before:
             device_array(before.share).zero_()
         run, motion = self._launcher.run_banded, scene.motion
@@ -70,10 +71,10 @@ class GBuffer:
         width, height = scene.image_size
         run(kernels.measure_footprints, width * height, wp.vec2i(width, height), scene.camera, now)
         reprojection = self._buffers.struct(f"gbuffer.{kind}.previous", Reprojection, len(now.share))
-        inputs = wp.vec2i(width, height), now, before, scene.camera, motion.camera, reprojection
+        inputs = wp.vec2i(width, height), now, before, motion.sequence, scene.camera, motion.camera, reprojection
         run(kernels.find_previous, width * height, *inputs)
         return PixelSurfaces(kind, now, before, reprojection)
 
-    def _pixels(self, scene: DeviceScene, kind: int, frame: int) -> SurfacePixels:
-        width, height = scene.image_size
+    def _pixels(self, size: tuple[int, int], kind: int, frame: int) -> SurfacePixels:
+        width, height = size
         return self._buffers.struct(f"gbuffer.{kind}.{frame % 2}", SurfacePixels, width * height)

@@ -9,11 +9,13 @@ from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.gi.surfaces import (
     InstanceMotion,
     Reprojection,
+    SequenceData,
     SurfacePixels,
     diffuse_albedo,
     footprint_alpha2,
     glossy_albedo,
     highlight_width,
+    in_previous_image,
     is_same_surface,
     least_cosine,
     mesh_before,
@@ -124,6 +126,7 @@ def find_previous(
     size: wp.vec2i,
     surfaces: SurfacePixels,
     before: SurfacePixels,
+    sequence: wp.array[SequenceData],
     camera: wp.array[CameraData],
     camera_before: wp.array[CameraData],
     reprojection_out: Reprojection,
@@ -146,6 +149,11 @@ def find_previous(
     # Histories belong to pixel centres, but the position is that of a jittered sample.
     x = snapped(at[0] - camera[0].offset[0])
     y = snapped(at[1] - camera[0].offset[1])
+    stands = x == float(pixel % size[0]) and y == float(pixel // size[0])
+    image = sequence[0].before
+    there = in_previous_image(wp.vec2(x, y), image)
+    x = there[0]
+    y = there[1]
     left = int(wp.floor(x))
     top = int(wp.floor(y))
     extent = surfaces.extent[pixel]
@@ -158,18 +166,18 @@ def find_previous(
         column = left + number % 2
         row = top + number // 2
         weight = (1.0 - wp.abs(x - float(column))) * (1.0 - wp.abs(y - float(row)))
-        if weight > 0.0 and column >= 0 and column < size[0] and row >= 0 and row < size[1]:
-            if is_same_surface(position, normal, tolerated, cosine_min, row * size[0] + column, before):
+        if weight > 0.0 and column >= 0 and column < image.size[0] and row >= 0 and row < image.size[1]:
+            if is_same_surface(position, normal, tolerated, cosine_min, row * image.size[0] + column, before):
                 weights[number] = weight
                 total += weight
-    reprojection_out.first[pixel] = top * size[0] + left
+    reprojection_out.first[pixel] = top * image.size[0] + left
     is_jittered = camera[0].offset[0] != 0.5 or camera[0].offset[1] != 0.5
-    if total == 0.0 and is_jittered and x == float(pixel % size[0]) and y == float(pixel // size[0]):
-        for row in range(wp.max(top - 1, 0), wp.min(top + 2, size[1])):
-            for column in range(wp.max(left - 1, 0), wp.min(left + 2, size[0])):
-                tap = row * size[0] + column
+    if total == 0.0 and is_jittered and stands:
+        for row in range(wp.max(top - 1, 0), wp.min(top + 2, image.size[1])):
+            for column in range(wp.max(left - 1, 0), wp.min(left + 2, image.size[0])):
+                tap = row * image.size[0] + column
                 if total == 0.0 and is_same_surface(position, normal, tolerated, cosine_min, tap, before):
                     reprojection_out.first[pixel] = tap
                     weights[0] = BORROWED
                     total = BORROWED
-    reprojection_out.weights[pixel] = weights
+    reprojection_out.weights[pixel] = wp.min(image.scale[0] * image.scale[1], 1.0) * weights

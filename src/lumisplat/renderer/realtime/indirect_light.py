@@ -60,9 +60,9 @@ class IndirectLight:
         """Returns the modules of the kernels that this class launches in a frame."""
         return [*self._rays.modules(plan), kernels, *self.probes.modules(), *self.cache.modules()]
 
-    def begin_frame(self, size: tuple[int, int], frame: int) -> None:
-        """Begins frame ``frame`` of an image of ``size`` (width, height)."""
-        self.probes.begin(size, frame)
+    def begin_frame(self, scene: DeviceScene, frame: int) -> None:
+        """Begins frame ``frame`` of a sequence."""
+        self.probes.begin(scene.image_size, frame, scene.motion.size_before, scene.motion.image_before)
         self.cache.warn_of_overflow()  # in the frame before, if it was replayed from a graph
 
     def start_lobes(self, scene: DeviceScene, wave: RayWave) -> tuple[LobeRays, RayData | None]:

@@ -59,17 +59,18 @@ class LightFilter:
 
     def frames(self, scene: DeviceScene, frame: int) -> DeviceArray:
         """Returns, for each pixel, the number of frames that its mean light averages, as float."""
-        return device_array(self._history(scene, frame).frames)
+        return device_array(self._history(scene.image_size, frame).frames)
 
     def _accumulate(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> LightHistory:
         """Reprojects the means of earlier frames, and adds the light samples of this frame."""
-        before, now = self._history(scene, frame - 1), self._history(scene, frame)
+        before, now = self._history(scene.motion.size_before, frame - 1), self._history(scene.image_size, frame)
         if not self.has_history:
             device_array(before.frames).zero_()
         self.has_history = True
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
-        self._run(scene, kernels.reproject, surfaces.now, surfaces.reprojection, before, found)
-        inputs = float(self._config.frames), self._shared, scene.motion.sequence
+        sequence = scene.motion.sequence
+        self._run(scene, kernels.reproject, surfaces.now, surfaces.reprojection, sequence, before, found)
+        inputs = float(self._config.frames), self._shared, sequence
         self._run(scene, kernels.accumulate, *inputs, surfaces.now, scene.camera, light, found, now)
         return now
 
@@ -93,6 +94,6 @@ class LightFilter:
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernel, width * height, wp.vec2i(width, height), *inputs, bands=bands)
 
-    def _history(self, scene: DeviceScene, frame: int) -> LightHistory:
-        width, height = scene.image_size
+    def _history(self, size: tuple[int, int], frame: int) -> LightHistory:
+        width, height = size
         return self._buffers.struct(f"{self._name}.history{frame % 2}", LightHistory, width * height)

@@ -140,6 +140,7 @@ def reproject(
     size: wp.vec2i,
     surfaces: SurfacePixels,
     reprojection: Reprojection,
+    sequence: wp.array[SequenceData],
     history: LightHistory,
     history_out: LightHistory,
 ):
@@ -152,7 +153,7 @@ def reproject(
         total = float(0.0)
         for number in range(4):
             if weights[number] > 0.0:
-                tap = first + number % 2 + (number // 2) * size[0]
+                tap = first + number % 2 + (number // 2) * sequence[0].before.size[0]
                 if history.frames[tap] > 0.0:
                     pixel_history = with_tap(pixel_history, weights[number], tap, history)
                     total += weights[number]

@@ -60,11 +60,13 @@ class LightVisibilities:
     def fetch(self, scene: DeviceScene, surfaces: PixelSurfaces, parity: int) -> LightVisibility:
         """Returns the visibilities of lights at surfaces, from where these were in the frame before."""
         lights, lights_before = self._lights[parity], self.lights_before(parity)
-        found = self._visibility(f"{self._kind}.reprojected", scene, lights)
-        before = self._visibility(f"{self._kind}.{1 - parity}", scene, lights_before or lights)
+        found = self._visibility(f"{self._kind}.reprojected", scene.image_size, lights)
+        size = scene.motion.size_before
+        before = self._visibility(f"{self._kind}.{1 - parity}", size, lights_before or lights)
         if lights_before == 0:
             cast(DeviceArray, before.counts).zero_()
-        inputs = scene.motion.light_before, scene.motion.light_kept, surfaces.now, surfaces.reprojection, before, found
+        inputs = scene.motion.light_before, scene.motion.light_kept, surfaces.now, surfaces.reprojection
+        inputs = *inputs, scene.motion.sequence, before, found
         self._run(scene, kernels.reproject_visibility, *inputs)
         return found
 
@@ -88,7 +90,7 @@ class LightVisibilities:
         inputs = self._kind, scene.camera, light, rays, visibility, sample
         self._launcher.run_banded(kernels.store_visibility, len(rays.t_max), *inputs)
         lights = self._lights[parity]
-        now = self._visibility(f"{self._kind}.{parity}", scene, lights)
+        now = self._visibility(f"{self._kind}.{parity}", scene.image_size, lights)
         inputs = min(float(self._config.frames), COUNT_MOST), surfaces.now, scene.camera
         partial = self._buffers.get("visibility.partial", wp.int32, width * height)
         inputs = *inputs, scene.shading, scene.motion.light_kept, sample, before, now, partial
@@ -131,8 +133,8 @@ class LightVisibilities:
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernels.add_remembered_light, wave.count, *inputs, bands=bands)
 
-    def _visibility(self, name: str, scene: DeviceScene, lights: int) -> LightVisibility:
-        width, height = scene.image_size
+    def _visibility(self, name: str, size: tuple[int, int], lights: int) -> LightVisibility:
+        width, height = size
         found, shape = LightVisibility(), (width * height, lights)
         for field, dtype in (("packed", wp.uint64), ("counts", wp.uint8)):
             array = self._buffers.get(f"visibility.{name}.{field}", dtype, width * height * lights)

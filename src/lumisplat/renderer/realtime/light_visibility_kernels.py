@@ -26,7 +26,15 @@ from lumisplat.device.gi.light_visibility import (
     sample_variance,
     unpack,
 )
-from lumisplat.device.gi.surfaces import PixelLight, Reprojection, SurfacePixels, is_near, least_cosine, tolerance
+from lumisplat.device.gi.surfaces import (
+    PixelLight,
+    Reprojection,
+    SequenceData,
+    SurfacePixels,
+    is_near,
+    least_cosine,
+    tolerance,
+)
 from lumisplat.device.light.direct_light import casts_shadow, irradiance_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.light import sample_light
@@ -64,6 +72,7 @@ def reproject_visibility(
     light_kept: wp.array[int],
     surfaces: SurfacePixels,
     reprojection: Reprojection,
+    sequence: wp.array[SequenceData],
     before: LightVisibility,
     visibility_out: LightVisibility,
 ):
@@ -81,7 +90,7 @@ def reproject_visibility(
         if source >= 0:
             for number in range(4):
                 if weights[number] > 0.0:
-                    tap = first + number % 2 + (number // 2) * size[0]
+                    tap = first + number % 2 + (number // 2) * sequence[0].before.size[0]
                     samples = float(before.counts[tap, source])
                     if samples > 0.0:
                         total += weights[number]

@@ -92,7 +92,8 @@ class RealtimeIntegrator:
             for name, (given, shared, width) in lights.items()
             for kind in (SPLATS, MESHES)
         }
-        self._size: tuple[int, int] | None = None
+        self._last: tuple[int, tuple[int, int]] | None = None
+        """Number and image size of the last frame begun; None: the next frame begins a new sequence."""
         self._layers: dict[str, DeviceArray] = {}
         self._lit: dict[int, LitSurfaces] = {}
         """Result of the last `shade` of an even frame (0) and of an odd one (1)."""
@@ -109,20 +110,21 @@ class RealtimeIntegrator:
 
     def forget(self) -> None:
         """Drops the lighting of earlier frames: the next frame begins a new sequence."""
-        self._size = None
+        self._last = None
 
     def begin_sample(self, scene: DeviceScene, sample: int) -> None:
         """Begins frame ``sample`` of the sequence: writes to the device what changes from frame to frame."""
-        size, self.parity = scene.image_size, sample % 2
-        if self._size != size:
-            self._restart(size)
+        self.parity = sample % 2
+        if self._last != (sample - 1, scene.motion.size_before):  # also after a frame that failed
+            self._restart()
+        self._last = sample, scene.image_size
         self._shadows.begin_sample(sample)
         if self._lights.begin_frame(scene, sample):
             for kind in (SPLATS, MESHES):
                 self._filters["direct", kind].reset()
         self._mirrors.begin_frame(sample)
         if self._bounces:
-            self._indirect.begin_frame(size, sample)
+            self._indirect.begin_frame(scene, sample)
 
     def graph_key(self, scene: DeviceScene) -> object:
         """Returns values that recorded CUDA graphs contain; a graph recorded with others is stale."""
@@ -207,16 +209,11 @@ class RealtimeIntegrator:
         """Returns the layers of light that the frame requests, from the last `shade`."""
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
 
-    def _restart(self, size: tuple[int, int]) -> None:
-        """Drops the histories of pixels and probes, because none has images of ``size``.
-
-        The radiance cache holds light of the scene, not of the image: it stays, unless a new sequence begins.
-        """
-        if self._size is None:
-            self._indirect.cache.reset()
-        for part in (self._gbuffer, self._lights, self._indirect.probes, self._antialiasing, *self._filters.values()):
+    def _restart(self) -> None:
+        """Drops all lighting of earlier frames."""
+        parts = self._gbuffer, self._lights, self._indirect.cache, self._indirect.probes, self._antialiasing
+        for part in (*parts, *self._filters.values()):
             part.reset()
-        self._size = size
 
     def _debug_images(
         self, names: list[str], scene: DeviceScene, surfaces: list[PixelSurfaces], count: int, frame: int

@@ -46,27 +46,6 @@ ABRUPT = wp.constant(wp.float32(0.5))
 """Below this weight of cached lighting, light has changed abruptly."""
 
 
-@wp.kernel
-def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
-    """Per probe: copies the fields that the next frame reads as the state of the previous frame."""
-    i = start + wp.tid()
-    probes_out.is_placed[i] = probes.is_placed[i]
-    probes_out.position[i] = probes.position[i]
-    probes_out.normal[i] = probes.normal[i]
-    probes_out.extent[i] = probes.extent[i]
-    probes_out.refresh_count[i] = probes.refresh_count[i]
-    probes_out.refreshed[i] = probes.refreshed[i]
-
-
-@wp.kernel
-def copy_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
-    """Per probe cell (one direction of a probe): copies the cell for the next frame."""
-    i = start + wp.tid()
-    cells_out.radiance[i] = cells.radiance[i]
-    cells_out.nearness[i] = cells.nearness[i]
-    cells_out.samples[i] = cells.samples[i]
-
-
 @wp.func
 def is_as_before(
     pixel: int, source: int, grid: ProbeGrid, camera: CameraData, surfaces: SurfacePixels, before: ProbeData

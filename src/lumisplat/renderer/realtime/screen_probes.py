@@ -10,14 +10,14 @@ import warp as wp
 from lumisplat.config import ProbeConfig
 from lumisplat.constants import MEANS_CHUNK, PROBE_NORMALS, SHADOW_OFFSET
 from lumisplat.device.gi.probe_placement import ProbeCells, ProbeData, ProbeGrid, ProbeLight, TileNeeds
-from lumisplat.device.gi.surfaces import SurfacePixels
+from lumisplat.device.gi.surfaces import PreviousImage, SurfacePixels
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.math.directions import irradiance_residual, sh_fit_of_cells
 from lumisplat.renderer.realtime import screen_probe_kernels as kernels
-from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
-from lumisplat.runtime.primitives import copy_elements, sort_pairs
+from lumisplat.runtime.primitives import sort_pairs
 
 _DEGREE = 2
 """SH degree in which probes store radiance, sufficient for irradiance (Ramamoorthi and Hanrahan 2001)."""
@@ -60,15 +60,21 @@ class ScreenProbes:
         """Drops all gathered radiance: the next frame begins a new sequence."""
         self.has_history = False
 
-    def begin(self, size: tuple[int, int], frame: int) -> None:
+    def begin(
+        self, size: tuple[int, int], frame: int, size_before: tuple[int, int], image_before: PreviousImage
+    ) -> None:
         """Begins a frame: writes the layout of its probes to the device.
 
         Args:
-            size: Width and height, pixels; a new size begins a new sequence.
+            size: Width and height, pixels.
             frame: Number of the frame in its sequence.
+            size_before: Width and height of the previous frame's images.
+            image_before: Images of the previous frame.
         """
         self._allocate(size)
-        self._write_grid(size, frame)
+        self.probes, self.cells, self.adaptive_of = self._stored(size, frame)
+        self._before = self._stored(size_before, frame + 1)
+        self._write_grid(size, frame, image_before)
 
     def place(self, surfaces: SurfacePixels, camera: wp.array[CameraData], camera_before: wp.array[CameraData]) -> None:
         """Places the probes of a frame.
@@ -79,21 +85,20 @@ class ScreenProbes:
             camera_before: Camera of the previous frame, shape (1,).
         """
         self._camera = camera
-        self._store_history()
         run, tiles, grids = self._launcher.run_banded, self._tiles, self._grids
+        before, cells_before, adaptive_before = self._before
         inputs = grids, camera, camera_before, surfaces
-        run(kernels.place_in_tiles, tiles, *inputs, self._before, self._adaptive_before, self.probes)
+        run(kernels.place_in_tiles, tiles, *inputs, before, adaptive_before, self.probes)
         keys, order = self._list("probes.needs_keys", tiles), self._tile_order
-        history = self._before, self._adaptive_before
+        history = before, adaptive_before
         run(kernels.find_needs, tiles, *inputs, self.probes, *history, self._needs, keys, order)
         sort_pairs(keys, order, tiles)
         run(
             kernels.place_adaptive,
             tiles,
-            *(grids, camera, order, self._needs, surfaces, self._before, self.adaptive_of, self.probes),
+            *(grids, camera, order, self._needs, surfaces, before, self.adaptive_of, self.probes),
         )
-        carried = self._cells_before, self.cells
-        run(kernels.carry_cells, self.count, grids, self.probes, self._before, *carried)
+        run(kernels.carry_cells, self.count, grids, self.probes, before, cells_before, self.cells)
         self.has_history = True
 
     def outdate(self, sequence: DeviceArray) -> None:
@@ -158,23 +163,16 @@ class ScreenProbes:
         return self._refreshed * self._cell_count
 
     def _allocate(self, size: tuple[int, int]) -> None:
-        """Allocates the arrays for an image size; a new size drops all gathered radiance."""
+        """Allocates the arrays for an image size that hold nothing for the next frame."""
         if size == self._size:
             return
-        self._size, self.has_history = size, False
+        self._size = size
         config, buffers = self._config, self._buffers
-        self._columns, self._rows = (-(-side // config.tile) for side in size)
+        self._columns, self._rows, self._adaptive = self._layout(size)
         self._tiles, self._cell_count = self._columns * self._rows, config.cells**2
-        self._adaptive = math.ceil(config.adaptive * self._tiles)
         self._refreshed = math.ceil(config.refreshed * self._tiles)
         self.count = self._tiles + self._adaptive
         total = self.count * self._cell_count
-        self.probes = buffers.struct("probes.now", ProbeData, self.count)
-        self._before = buffers.struct("probes.before", ProbeData, self.count, ("pixel", "distance", "source"))
-        self.cells = buffers.struct("probes.cells", ProbeCells, total)
-        self._cells_before = buffers.struct("probes.cells_before", ProbeCells, total)
-        self.adaptive_of = buffers.get("probes.adaptive_of", wp.int32, self._tiles)
-        self._adaptive_before = buffers.get("probes.adaptive_before", wp.int32, self._tiles)
         self._needs = buffers.struct("probes.needs", TileNeeds, self._tiles)
         self._tile_order = self._list("probes.tile_order", self._tiles)
         self._refresh_order = self._list("probes.refresh_order", self.count)
@@ -184,11 +182,24 @@ class ScreenProbes:
         self.light.radiance = buffers.get("probes.light.radiance", wp.vec3, total)
         self.light.sh = buffers.get("probes.light.sh", wp.vec3, self.count * (_DEGREE + 1) ** 2)
 
+    def _layout(self, size: tuple[int, int]) -> tuple[int, int, int]:
+        """Returns the columns and rows of tiles in an image, and the largest number of adaptive probes."""
+        columns, rows = (-(-side // self._config.tile) for side in size)
+        return columns, rows, math.ceil(self._config.adaptive * columns * rows)
+
+    def _stored(self, size: tuple[int, int], frame: int) -> tuple[ProbeData, ProbeCells, DeviceArray]:
+        """Returns what a frame stores for the next one: probes, their cells, and the adaptive probe of each tile."""
+        columns, rows, adaptive = self._layout(size)
+        tiles, name = columns * rows, f"probes.{frame % 2}"
+        probes = self._buffers.struct(name, ProbeData, tiles + adaptive)
+        cells = self._buffers.struct(f"{name}.cells", ProbeCells, (tiles + adaptive) * self._config.cells**2)
+        return probes, cells, self._buffers.get(f"{name}.adaptive_of", wp.int32, tiles)
+
     def _list(self, name: str, count: int) -> DeviceArray:
         """Returns an array of ``count`` integers, followed by the scratch space that sorting needs."""
         return self._buffers.get(name, wp.int32, 2 * count)
 
-    def _write_grid(self, size: tuple[int, int], frame: int) -> None:
+    def _write_grid(self, size: tuple[int, int], frame: int, before: PreviousImage) -> None:
         """Writes the layout of the probes for frame ``frame`` to the device."""
         grid = ProbeGrid()
         grid.width, grid.height = size
@@ -197,14 +208,5 @@ class ScreenProbes:
         grid.adaptive, grid.history = self._adaptive, float(self._config.history)
         grid.offset = self._offset
         grid.frame, grid.has_history = frame, int(self.has_history)
-        grid.seed = wp.uint32(self._seed)
+        grid.seed, grid.before = wp.uint32(self._seed), before
         self._grids = self._buffers.table("probes.grid", ProbeGrid, [grid])
-
-    def _store_history(self) -> None:
-        """Copies the probes of the last frame to the arrays that hold the previous frame's probes."""
-        if not self.has_history:
-            return
-        run = self._launcher.run_banded
-        run(kernels.copy_probes, self.count, self.probes, self._before)
-        run(kernels.copy_cells, self.count * self._cell_count, self.cells, self._cells_before)
-        copy_elements(device_array(self.adaptive_of), self._adaptive_before, self._tiles)

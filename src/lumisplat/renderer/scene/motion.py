@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion, SequenceData
+from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion, PreviousImage, SequenceData
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.renderer.scene.assets import as_device_array, first_of
 from lumisplat.renderer.scene.camera_table import camera_table
@@ -72,7 +72,12 @@ class Motion:
         self.sequence = buffers.get("motion.sequence", SequenceData, 1)
         """Number of the frame and `history_weight` as a table for kernels; written by ``begin_frame``."""
         self.camera = buffers.get("motion.camera", CameraData, 1)
-        """Camera of the previous frame; written by ``sync``."""
+        """Camera of the previous frame, with the lens and image size of this frame's if the size has changed; written
+        by ``sync``."""
+        self.image_before: PreviousImage
+        """Images of the previous frame."""
+        self.size_before: tuple[int, int]
+        """Width and height of the previous frame's images, pixels; those of this frame if there is none."""
         self.splats: DeviceArray
         """``InstanceMotion`` of each splat instance; the field ``meshes`` has the mesh instances. Written by ``sync``.
         """
@@ -104,7 +109,9 @@ class Motion:
             captures: Indices of the splat instances that are sampled as lights.
         """
         before = self._scene or Scene()
-        assign_table(self.camera, camera_table(self._camera or camera))
+        camera_before = self._camera or camera
+        self.size_before, self.image_before = camera_before.image_size, previous_image(camera_before, camera)
+        assign_table(self.camera, camera_table(in_size_of(camera, camera_before)))
         splats = previous_indices(scene.splats, before.splats, lambda instance: instance.gaussians, is_same_capture)
         meshes = previous_indices(scene.meshes, before.meshes, lambda instance: instance.mesh, is_same_mesh)
         self.splats = self._table("motion.splats", self._splat_rows(scene, before, splats))
@@ -130,7 +137,7 @@ class Motion:
     def begin_frame(self, number: int) -> None:
         """Writes the number of the frame in its sequence, and the weight of cached lighting, for kernels."""
         row = SequenceData()
-        row.frame, row.history_weight = number, self.history_weight
+        row.frame, row.history_weight, row.before = number, self.history_weight, self.image_before
         assign_table(self.sequence, rows_of([row]))
 
     def forget(self) -> None:
@@ -176,6 +183,23 @@ class Motion:
                 row.deforms, row.positions = 1, self._positions
             write_motion(row, instance.transform, old.transform)
         return rows
+
+
+def in_size_of(camera: Camera, before: Camera) -> Camera:
+    """Returns the previous frame's camera, with the lens and image size of ``camera`` if their sizes differ."""
+    if before.image_size == camera.image_size:
+        return before
+    return replace(camera, camera_from_world=before.camera_from_world)
+
+
+def previous_image(before: Camera, now: Camera) -> PreviousImage:
+    """Returns the images of the previous frame, given its camera and the one of this frame."""
+    image = PreviousImage()
+    image.size, image.scale = wp.vec2i(*before.image_size), wp.vec2(1.0)
+    if before.image_size != now.image_size:
+        x, y = before.fx / now.fx, before.fy / now.fy
+        image.scale, image.shift = wp.vec2(x, y), wp.vec2(before.cx - x * now.cx, before.cy - y * now.cy)
+    return image
 
 
 def previous_indices(
