@@ -237,9 +237,9 @@ def test_outdated_light_of_a_screen_probe_cell_stays_until_its_next_ray_replaces
     sequence.trace()
     np.testing.assert_allclose(sequence.look_up(surfaces), np.broadcast_to(np.pi * old, (160 * 96, 3)), rtol=4e-6)
     sequence.tracer = constant(new)
+    sequence.frame += 1
     worst = []
     for _ in range(8):
-        sequence.frame += 1
         worst.append(np.abs(sequence.render(surfaces) / np.pi - new).max())
     assert worst[0] > 1.0, "not all probes are refreshed in one frame"
     assert worst[-1] < 2e-3, "a plain mean would still have a third of the old light"
@@ -256,6 +256,7 @@ def test_probes_keep_the_root_of_the_weight_of_cached_light_unless_it_changes_ab
         sequence.probes.outdate(sequence_row(0, weight))
         np.testing.assert_allclose(cells_of(sequence).samples, kept * before, rtol=1e-5)
         assert before.max() > 0.5
+        sequence.frame += 1
 
 
 def thin_pole(camera: ls.Camera) -> VisibleSurfaces:

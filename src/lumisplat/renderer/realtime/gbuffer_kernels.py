@@ -180,4 +180,5 @@ def find_previous(
                     reprojection_out.first[pixel] = tap
                     weights[0] = BORROWED
                     total = BORROWED
+    # A larger pixel of the previous frame has had fewer samples for each of this frame's pixels.
     reprojection_out.weights[pixel] = wp.min(image.scale[0] * image.scale[1], 1.0) * weights
