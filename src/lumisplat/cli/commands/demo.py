@@ -69,7 +69,7 @@ class Demo(DeviceCommand):
             print(path, flush=True)
 
     def _write_moving(self) -> None:
-        """Writes ``moving.gif`` and its frame in the middle, ``moving.png``."""
+        """Writes ``moving.webp`` and its frame in the middle, ``moving.png``."""
         if self.save_assets:
             raise ls.ConfigError("--save-assets writes the still room: leave out --scene moving")
         check_writable(self.output)
@@ -187,7 +187,7 @@ _MOVING_FPS = 24.0
 
 
 def moving_images(renderer: ls.Renderer, width: int, folder: Path, report: Report) -> Iterator[Path]:
-    """Renders and writes ``moving.png`` and ``moving.gif``, a quarter of ``width`` wide; yields each path."""
+    """Renders and writes ``moving.png`` and ``moving.webp``, a quarter of ``width`` wide; yields each path."""
     from lumisplat.demo.moving import DURATION, moving_camera, moving_scene  # imports NumPy
 
     camera = moving_camera(max(16, width // 4), max(9, 9 * width // 64))
@@ -202,8 +202,8 @@ def moving_images(renderer: ls.Renderer, width: int, folder: Path, report: Repor
             frame.save(folder / "moving.png")
             yield folder / "moving.png"
     report("rendering", 1.0)
-    ls.save_animation(folder / "moving.gif", pictures, fps=_MOVING_FPS)
-    yield folder / "moving.gif"
+    ls.save_animation(folder / "moving.webp", pictures, fps=_MOVING_FPS)
+    yield folder / "moving.webp"
 
 
 _COLUMNS = 4
