@@ -100,7 +100,7 @@ class RadianceCacheConfig:
     """
 
     tiles: Annotated[int, Range(64, 2**20)] = 16_384
-    """Largest number of tiles in the cache: squares of 8 x 8 cells on surfaces in world space, 4.9 KiB each. A full
+    """Largest number of tiles in the cache: squares of 8 x 8 cells on surfaces in world space, 5.9 KiB each. A full
     cache drops the least recently used."""
     cell_size: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 1.0 / 8.0
     """Largest width of a cell as a fraction of its distance from the camera; widths are powers of two."""

@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lumisplat.constants import GRID_LIGHTS
+from lumisplat.device.gi.radiance_cache import TILE_CELLS
 from lumisplat.renderer.scene.motion import OUTDATED_HISTORY_WEIGHT
+from lumisplat.runtime.buffers import device_array
 from support.oracles.radiance_cache_oracle import Samples
 from support.scenes.cache_rig import UP, CacheRig, cosine_directions, made_samples, on_floor
 from support.scenes.gi_surfaces import sequence_row
@@ -265,6 +268,31 @@ def test_outdated_light_in_the_radiance_cache_stays_until_new_samples_replace_it
     assert rig.look_up(made_samples(position)) == pytest.approx(0.5, abs=0.01), "indirect means are kept, too"
     lit_floor(rig, position, range(41, 42), 0.0)
     assert rig.look_up(made_samples(position)).max() < 0.01
+
+
+def test_cell_of_the_radiance_cache_learns_and_forgets_which_lights_arrive() -> None:
+    """Samples of one cell: light 2 is blocked, then arrives again; other lights count as seen."""
+    rig = CacheRig()
+    sample = made_samples(np.full((3, 3), 0.1), radiance=np.ones((3, 3)))
+
+    def arrived(frame: int, visibility: float) -> np.ndarray:
+        uploaded = rig.upload("samples", sample)
+        uploaded.light.assign(np.array((2, 2, -1), np.int32))
+        uploaded.arrived.assign(np.full(3, visibility, np.float32))
+        rig.cache.insert(uploaded, sequence_row(frame))
+        slots = device_array(rig.cache.tiles.slots).numpy()[: rig.statistics.tiles]
+        found = device_array(rig.cache.tiles.arrived).numpy().reshape(-1, TILE_CELLS, GRID_LIGHTS)[slots[0]] / 255.0
+        learnt = found[found.min(axis=1) < 0.99]
+        assert len(learnt) == 1
+        assert (np.delete(learnt[0], 2) == 1.0).all()
+        return learnt[0, 2]
+
+    assert arrived(0, 0.0) == pytest.approx(3.0 / 5.0, abs=0.01)  # two samples against three before
+    assert arrived(1, 0.0) == pytest.approx(9.0 / 25.0, abs=0.01)
+    assert [arrived(frame, 0.0) for frame in range(2, 12)][-1] < 0.02
+    assert arrived(12, 1.0) == pytest.approx(0.4, abs=0.02)
+    rig.cache.reset()
+    assert arrived(0, 0.5) == pytest.approx((3.0 + 1.0) / 5.0, abs=0.01)
 
 
 def test_indirect_look_up_of_the_radiance_cache_excludes_direct_light() -> None:

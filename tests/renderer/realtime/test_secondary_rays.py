@@ -80,6 +80,25 @@ def test_realtime_room_with_glass_matches_the_path_tracer(objects: list[ls.MeshI
     np.testing.assert_allclose(ratio, 1.0, atol=0.04)
 
 
+def test_sun_that_a_room_blocks_adds_little_noise_to_reflections_in_a_metal() -> None:
+    """The sun outside is 30 times as bright as the lamp; the frames' changes grow by less than half."""
+    metal = ls.MaterialPbr(roughness=0.3, metallic=1.0)
+    room = room_with(ls.MeshInstance(ls.sphere(0.7, material=metal), position=(2.0, 1.2, 2.0)))
+    sun = ls.LightDirectional((-0.3, -1.0, -0.2), intensity=60.0)
+    config = ls.RenderConfig(
+        pipeline=ls.Pipeline.REALTIME,
+        aovs=("indirect_glossy",),
+        realtime=ls.RealtimeConfig(antialiasing=False),
+    )
+    noise: list[float] = []
+    for lights in (room.lights, [*room.lights, sun]):
+        renderer, scene = ls.create_renderer(config, "cpu"), replace(room, lights=lights)
+        frames = [renderer.render(scene, INSIDE).indirect_glossy for _ in range(40)]
+        late = np.stack([frame for frame in frames if frame is not None])[24:]
+        noise.append(float(np.abs(np.diff(late, axis=0)).mean() / late.mean()))
+    assert noise[1] < 1.5 * noise[0]
+
+
 def test_realtime_light_reflected_by_a_mirror_matches_the_path_tracer() -> None:
     """A floor behind a screen is lit by the mirror alone, within 10 % of the path tracer."""
     emissive = replace(matte(0.0), emissive=(6.0, 6.0, 6.0))

@@ -109,6 +109,7 @@ class CacheRig:
         for field in ("position", "normal", "distance", "from_eye", "albedo", "radiance", "extent"):
             getattr(uploaded, field).assign(getattr(samples, field))
         uploaded.direction.assign(-samples.normal)
+        device_array(uploaded.light).fill_(-1)
         uploaded.is_active.assign(np.broadcast_to(active, count).copy())
         return uploaded
 

@@ -89,6 +89,10 @@ class CacheSamples:
     """Diffuse albedo of the hit surface, linear."""
     radiance: wp.array[wp.vec3]
     """Linear radiance that the hit surface reflects of direct light from lights and environment, without emission."""
+    light: wp.array[int]
+    """Index of the light that ``radiance`` is a sample of; -1: of no light."""
+    arrived: wp.array[float]
+    """Fraction of that light's sample that arrived, 0..1."""
     extent: wp.array[float]
     """Position uncertainty of the surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
 
@@ -173,6 +177,10 @@ class CacheTiles:
     """For each cell, the number of frames that had samples in it, at most ``CacheGrid.history``; 0: empty.
 
     Each slot has ``TILE_CELLS`` elements."""
+    arrived: wp.array[wp.uint8]
+    """For each cell and each of `GRID_LIGHTS` lights, the fraction of the light's samples that arrived lately, 0..255.
+
+    Each slot has ``TILE_CELLS * GRID_LIGHTS`` elements."""
     updated: wp.array[int]
     """For each cell, the number of the last frame that had samples in it; each slot has ``TILE_CELLS`` elements."""
     position: wp.array[wp.vec3]

@@ -2,8 +2,11 @@
 
 import warp as wp
 
+from lumisplat.constants import GRID_LIGHTS
+from lumisplat.device.gi.light_visibility import LightValues
+from lumisplat.device.gi.radiance_cache import TILE_CELLS, CacheTiles
 from lumisplat.device.gi.surfaces import SurfacePixels, is_same_surface, least_cosine, tolerance
-from lumisplat.device.light.direct_light import environment_number, light_importance, uses_mis
+from lumisplat.device.light.direct_light import choice_count, environment_number, light_importance, uses_mis
 from lumisplat.device.light.emitters import environment_radiance
 from lumisplat.device.light.interaction import mesh_emission
 from lumisplat.device.light.light import light_crossing
@@ -17,7 +20,7 @@ from lumisplat.device.path.steps import BRANCH_REFLECTED, Branch, PathStep
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import ShadingScene, WaveData
+from lumisplat.device.structs.shading import Interaction, LightChoice, ShadingScene, WaveData
 
 MIRRORED_SOLID_ANGLE = 0.02
 """A light seen in a mirror is dimmed as if it covered at least this solid angle, steradians: a tenth of a probe's
@@ -33,6 +36,13 @@ Screen probes resolve 0.4 radians. GI-1.1 traces rays up to a roughness of 0.2, 
 
 LOBE_ALPHA_TO = 0.25
 """Highlights above this GGX alpha (roughness 0.5) take their light from screen probes alone and send no rays."""
+
+SEEN_LEAST = 0.1
+"""Smallest factor on how often a light is chosen; it applies to lights of which nothing arrived lately."""
+
+SEEN_MIN = wp.constant(wp.float32(SEEN_LEAST))
+
+LIGHTS = wp.constant(GRID_LIGHTS)
 
 
 @struct
@@ -65,6 +75,49 @@ class BouncedRays:
     surface."""
     sampled: wp.array[wp.vec3]
     """Linear radiance that the hit surface reflects of one sampled light, without its shadow."""
+
+
+@wp.func
+def light_that_arrives(
+    u: float, slot: int, cell: int, interaction: Interaction, tiles: CacheTiles, scene: wp.array[ShadingScene]
+) -> LightChoice:
+    """Chooses one of at most `GRID_LIGHTS` lights at a hit, often those that arrive in its cell of the radiance cache.
+
+    Samples of a light of irradiance E, of which the fraction V arrives, have the second moment V E^2. Therefore noise
+    is least if lights are chosen in proportion to E times the root of V; here, the root is at least ``SEEN_MIN``.
+
+    Args:
+        u: Random, 0..1.
+        slot: Slot of the cell's tile; -1: the cache has no such tile, and all lights count as seen.
+        cell: Index of the cell in its tile.
+        interaction: The hit, on a matte surface.
+        tiles: Tiles of the cache.
+        scene: The scene.
+
+    Returns:
+        The choice; its number is -1 if no light reaches the hit.
+    """
+    choice = LightChoice()
+    choice.number = -1
+    weights = LightValues()
+    total = float(0.0)
+    first = (slot * TILE_CELLS + cell) * LIGHTS
+    count = choice_count(scene)
+    for number in range(count):
+        seen = float(1.0)
+        if slot >= 0:
+            seen = wp.max(wp.sqrt(float(tiles.arrived[first + number]) / 255.0), SEEN_MIN)
+        weights[number] = seen * light_importance(number, interaction.position, interaction.normal, scene)
+        total += weights[number]
+    if not (total > 0.0 and total < wp.inf):
+        return choice
+    rest = u * total
+    for number in range(count):
+        if weights[number] > 0.0 and rest >= 0.0:
+            choice.number = number
+            choice.probability = weights[number] / total
+            rest -= weights[number]
+    return choice
 
 
 @struct

@@ -50,10 +50,10 @@ class IndirectLight:
         self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer, shadows: ShadowRays
     ) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._rays = SecondaryRays(launcher, buffers, tracer, shadows)
         self._interval, self._follows_lobes = config.realtime.light_interval, config.realtime.highlight_rays
         self._offset = config.shadow_rays.offset
         self.cache = RadianceCache(launcher, buffers, config.realtime.cache)
+        self._rays = SecondaryRays(launcher, buffers, tracer, shadows, self.cache)
         self.probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed, self._offset)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
@@ -183,8 +183,11 @@ class SecondaryHits:
 class SecondaryRays:
     """Traces rays that leave surfaces, and samples direct light at the surfaces that the rays hit."""
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, shadows: ShadowRays) -> None:
+    def __init__(
+        self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, shadows: ShadowRays, cache: RadianceCache
+    ) -> None:
         self._launcher, self._buffers, self._tracer, self._shadows = launcher, buffers, tracer, shadows
+        self._cache = cache
         self._surfaces = Surfaces(launcher, buffers)
         self._grids = LightGrids(launcher, buffers)
 
@@ -227,7 +230,8 @@ class SecondaryRays:
                 table = f"{name}.wave{min(number, 1)}"  # onward rays have the same arrays after each bounce
                 wave = self._surfaces.shade(scene, plan, hits, 1, carried=carried, may_branch=False, table=table)
                 grid = self._grids.of_wave(scene, wave)
-                inputs = not plan.casts_shadows, grid, scene.camera, scene.shading, wave.data, *found, onward
+                inputs = not plan.casts_shadows, grid, self._cache.grid, self._cache.tiles, scene.camera
+                inputs = *inputs, scene.shading, wave.data, *found, onward
                 run(ray_kernels.shade_hits, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)
             if not goes_on or not (self._launcher.is_parallel or self._any_continues(onward)):
                 break

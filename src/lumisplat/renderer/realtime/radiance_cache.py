@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import RadianceCacheConfig
+from lumisplat.constants import GRID_LIGHTS
 from lumisplat.device.gi.radiance_cache import (
     COUNT_DROPPED,
     COUNT_EVICTED,
@@ -62,10 +63,11 @@ class RadianceCache:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RadianceCacheConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         history = config.history or (HISTORY_CUDA if launcher.is_cuda else HISTORY_CPU)
-        self._grid = CacheGrid()
-        self._grid.cell_size, self._grid.tiles = config.cell_size, config.tiles
-        self._grid.history, self._grid.samples_min = float(history), float(min(config.samples_min, history))
-        self._grid.bounce_history = float(config.bounce_history)
+        self.grid = CacheGrid()
+        """Settings as kernels need them."""
+        self.grid.cell_size, self.grid.tiles = config.cell_size, config.tiles
+        self.grid.history, self.grid.samples_min = float(history), float(min(config.samples_min, history))
+        self.grid.bounce_history = float(config.bounce_history)
         self.tiles = _allocated_tiles(buffers, config.tiles)
         """Tiles (8 x 8 cells each) in use; the arrays have room for as many tiles as the settings allow."""
         self._counts = HostCopy(device_array(self.tiles.counts))
@@ -99,7 +101,7 @@ class RadianceCache:
                 sorted_samples = self._sorted(samples, count)
                 self._make_tiles(sorted_samples, count, sequence)
                 run, tiles = self._launcher.run_banded, self.tiles
-                run(kernels.add_samples, count, sequence, self._grid, samples, sorted_samples, tiles)
+                run(kernels.add_samples, count, sequence, self.grid, samples, sorted_samples, tiles)
                 run(kernels.update_tiles, count, sorted_samples, tiles)
 
     def look_up(self, samples: CacheSamples) -> DeviceArray:
@@ -120,7 +122,7 @@ class RadianceCache:
         count = len(device_array(samples.is_active))
         radiance = self._get("indirect", wp.vec3, count)
         with self._launcher.stage(_STAGE):
-            inputs = self._grid, samples, points, self.tiles, radiance
+            inputs = self.grid, samples, points, self.tiles, radiance
             self._launcher.run_banded(kernels.look_up_indirect, count, *inputs)
         return radiance
 
@@ -129,7 +131,7 @@ class RadianceCache:
         count = len(device_array(samples.is_active))
         numbers = self._get("cell_numbers", wp.int32, count)
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.number_cells, count, self._grid, samples, self.tiles, numbers)
+            self._launcher.run_banded(kernels.number_cells, count, self.grid, samples, self.tiles, numbers)
         return numbers
 
     def bounce_points(self, sequence: DeviceArray) -> CachePoints:
@@ -170,7 +172,7 @@ class RadianceCache:
             reflected = self._look_up("reflected", hits)
             radiance = radiance_of(reflected) if radiance_of else reflected
             with self._launcher.stage(_STAGE):
-                run(kernels.add_bounces, count, self._grid, points, means, radiance, tiles)
+                run(kernels.add_bounces, count, self.grid, points, means, radiance, tiles)
                 run(kernels.update_bounced_tiles, count, points, tiles)
 
     def evict(self, sequence: DeviceArray) -> None:
@@ -191,7 +193,7 @@ class RadianceCache:
         result = SortedSamples()
         result.keys, result.order = get("sorted_keys", wp.int64, 2 * count), get("order", wp.int32, 2 * count)
         result.cells = cells
-        run(kernels.find_cells, count, self._grid, samples, keys, cells, sort_cells, result.order)
+        run(kernels.find_cells, count, self.grid, samples, keys, cells, sort_cells, result.order)
         sort_pairs(sort_cells, device_array(result.order), count, bits=TILE_CELLS.bit_length() - 1)
         run(kernels.gather_keys, count, keys, result.order, result.keys)
         sort_pairs(device_array(result.keys), device_array(result.order), count)
@@ -203,7 +205,7 @@ class RadianceCache:
         is_new, ends = self._get("is_new", wp.int32, count), self._get("new_ends", wp.int32, count)
         run(kernels.find_new_tiles, count, sequence, samples, tiles, is_new)
         prefix_sum(is_new, ends, inclusive=True)
-        self._launcher.run(kernels.count_new_tiles, 1, count, self._grid, ends, tiles)
+        self._launcher.run(kernels.count_new_tiles, 1, count, self.grid, ends, tiles)
         if self._may_count(COUNT_EXCESS):
             stays = self._per_tile("stays")
             ranks = self._ranks(kernels.key_tiles_by_use)
@@ -227,14 +229,14 @@ class RadianceCache:
         keys, slots = self._spare_lists()
         self._launcher.run_banded(kernels.compact_tiles, self._config.tiles, self.tiles, stays, ends, keys, slots)
         self._replace_lists(keys, slots)
-        self._launcher.run(kernels.count_remaining_tiles, 1, is_early, self._grid, ends, self.tiles)
+        self._launcher.run(kernels.count_remaining_tiles, 1, is_early, self.grid, ends, self.tiles)
 
     def _look_up(self, name: str, samples: CacheSamples) -> DeviceArray:
         """Looks samples up like ``look_up``, and returns the radiance in the array called ``name``."""
         count = len(device_array(samples.is_active))
         radiance = self._get(name, wp.vec3, count)
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.look_up_samples, count, self._grid, samples, self.tiles, radiance)
+            self._launcher.run_banded(kernels.look_up_samples, count, self.grid, samples, self.tiles, radiance)
         return radiance
 
     def _ranks(self, key_tiles: Kernel) -> DeviceArray:
@@ -285,7 +287,9 @@ class RadianceCache:
 _CELL_FIELDS = ("frames", "updated", "position", "normal", "extent")
 """Fields of CacheTiles that have one element for each cell of a tile."""
 
-_LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS} | dict.fromkeys(_CELL_FIELDS, TILE_CELLS)
+_LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS, "arrived": TILE_CELLS * GRID_LIGHTS} | dict.fromkeys(
+    _CELL_FIELDS, TILE_CELLS
+)
 """Number of elements per tile in each array of CacheTiles; 1 for arrays that are not listed."""
 
 

@@ -7,6 +7,8 @@ of keys, into which new keys are merged (docs/method/realtime.md#radiance-cache)
 
 import warp as wp
 
+from lumisplat.constants import GRID_LIGHTS
+from lumisplat.device.gi.light_visibility import LightValues
 from lumisplat.device.gi.radiance_cache import (
     AGE_LAST,
     COUNT_DROPPED,
@@ -45,6 +47,11 @@ wp.set_module_options({"enable_backward": False})
 
 CELL_RAYS_MAX = 16
 """Largest number of rays per frame from a coarse cell, if few cells share the rays of a frame."""
+
+ARRIVED_BEFORE = wp.constant(wp.float32(3.0))
+"""Number of samples for which the fraction of a light that arrived in a cell before counts against new samples."""
+
+LIGHTS = wp.constant(GRID_LIGHTS)
 
 RAYS_MAX = wp.constant(CELL_RAYS_MAX)
 
@@ -98,7 +105,10 @@ def add_samples(
     sorted_samples: SortedSamples,
     tiles: CacheTiles,
 ):
-    """Per cell: adds its samples to the cell's mean, and stores a random one as the origin of its bounce ray."""
+    """Per cell: adds its samples to the cell's mean and to the fractions of lights that arrive.
+
+    A random sample is stored as the origin of the cell's bounce ray.
+    """
     i = start + wp.tid()
     if not is_first_of_cell(sorted_samples, i):
         return
@@ -107,14 +117,26 @@ def add_samples(
     if slot < 0:
         return
     cell = sorted_samples.cells[sorted_samples.order[i]]
+    at = slot * TILE_CELLS + cell
     total = wp.vec3d()
+    arrived = LightValues()
+    sampled = LightValues()
     end = int(i)
     while end < samples.is_active.shape[0] and (end == i or not is_first_of_cell(sorted_samples, end)):
         if sorted_samples.keys[end] == NO_TILE:
             break
-        total += wp.vec3d(samples.radiance[sorted_samples.order[end]])
+        sample = sorted_samples.order[end]
+        total += wp.vec3d(samples.radiance[sample])
+        light = samples.light[sample]
+        if light >= 0:
+            arrived[light] = arrived[light] + wp.clamp(samples.arrived[sample], 0.0, 1.0)
+            sampled[light] = sampled[light] + 1.0
         end += 1
-    at = slot * TILE_CELLS + cell
+    for light in range(LIGHTS):
+        if sampled[light] > 0.0:
+            before = ARRIVED_BEFORE * float(tiles.arrived[at * LIGHTS + light])
+            now = (before + 255.0 * arrived[light]) / (ARRIVED_BEFORE + sampled[light])
+            tiles.arrived[at * LIGHTS + light] = wp.uint8(now + 0.5)
     frame = sequence[0].frame
     mean = tiles.direct[slot * TILE_MEANS + cell]
     weight = mean[3]
@@ -529,6 +551,8 @@ def clear_slot(tiles: CacheTiles, slot: int):
         tiles.indirect[i] = wp.vec4()
     for i in range(slot * TILE_CELLS, (slot + 1) * TILE_CELLS):
         tiles.frames[i] = 0
+    for i in range(slot * TILE_CELLS * LIGHTS, (slot + 1) * TILE_CELLS * LIGHTS):
+        tiles.arrived[i] = wp.uint8(255)
 
 
 @wp.kernel

@@ -7,27 +7,29 @@ import warp as wp
 
 from lumisplat.device.camera.pixels import ray_of_pixel
 from lumisplat.device.gi.light_grid import SURFACE_BRANCH, LightGrid, sample_light_of
-from lumisplat.device.gi.radiance_cache import CacheSamples
+from lumisplat.device.gi.radiance_cache import CacheGrid, CacheSamples, CacheTiles, cell_of_sample, slot_of
 from lumisplat.device.gi.secondary_rays import (
     ALPHA_TO,
     BouncedRays,
     LobeRays,
     OnwardRays,
     followed_pixel,
+    light_that_arrives,
     mirrored_light,
     start_onward,
     straight_bounce,
     straight_step,
 )
 from lumisplat.device.gi.surfaces import SequenceData, glossy_albedo, highlight_width, matte_albedo
+from lumisplat.device.light.direct_light import CHOICE_BRANCH, sample_choice
 from lumisplat.device.light.glossy_lobe import LOBE_BRANCH, highlight_share, interaction_of, lobe_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction, mesh_emission
-from lumisplat.device.math.color import captured_color, is_black
+from lumisplat.device.math.color import captured_color, is_black, luminance
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.path.steps import BRANCH_NONE, BRANCH_REFLECTED, BRANCH_SPLATS, branch_of, is_scattering
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, ShadingScene, WaveData
+from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Contribution, Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -61,6 +63,7 @@ def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, 
     i = start + wp.tid()
     rays_out.is_active[i] = False
     samples_out.is_active[i] = False
+    samples_out.light[i] = -1
     bounced_out.emitted[i] = wp.vec3(0.0)
     bounced_out.share[i] = wp.vec3(0.0)
     bounced_out.sampled[i] = wp.vec3(0.0)
@@ -83,6 +86,8 @@ def shade_hits(
     start: int,
     no_shadows: bool,
     grid: LightGrid,
+    cache: CacheGrid,
+    tiles: CacheTiles,
     camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
@@ -97,6 +102,8 @@ def shade_hits(
         start: Offset added to the thread index.
         no_shadows: Whether light passes through everything.
         grid: Light grid of the surfaces that the rays hit.
+        cache: Settings of the radiance cache.
+        tiles: Tiles of the radiance cache, which know which lights arrive.
         camera: Camera of the frame.
         scene: The scene.
         wave: The rays and their hits.
@@ -152,7 +159,16 @@ def shade_hits(
     samples_out.extent[i] = 0.0
     if surface.kind == BRANCH_SPLATS and scene[0].settings[0].shadow_offset > 0.0:
         samples_out.extent[i] = wave[0].interactions.spawn_t_min[j] / scene[0].settings[0].shadow_offset
-    sample = sample_light_of(i, surface.kind, interaction, no_shadows, grid, scene, wave, rays_out)
+    sample = Contribution()
+    if grid.cell_of.shape[0] > 0:
+        sample = sample_light_of(i, surface.kind, interaction, no_shadows, grid, scene, wave, rays_out)
+    else:
+        at = cell_of_sample(cache, samples_out, i)
+        of_light = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
+        choice = light_that_arrives(of_light[0], slot_of(tiles, at.key), at.cell, interaction, tiles, scene)
+        if choice.number >= 0:
+            sample = sample_choice(i, surface.kind, choice, interaction, no_shadows, scene, wave, rays_out)
+            samples_out.light[i] = choice.number
     bounced_out.sampled[i] = sample.color
     if follows:
         onward_inout.rays.is_active[i] = False
@@ -165,9 +181,12 @@ def apply_visibility(
     """Per secondary ray: writes the reflected light sample at its hit, times the visibility of the shadow ray."""
     i = start + wp.tid()
     radiance = bounced.sampled[i]
+    arrived = wp.where(is_black(radiance), 0.0, 1.0)
     if rays.is_active[i]:
         radiance = wp.cw_mul(radiance, visibility[i])
+        arrived = luminance(visibility[i])
     samples_inout.radiance[i] = radiance
+    samples_inout.arrived[i] = arrived
 
 
 @wp.kernel
@@ -188,7 +207,7 @@ def add_reflected(
         distance_out[i] = samples.distance[i]
 
 
-CHOICE_BRANCH = wp.constant((1 << 20) + 3)
+SENDER_BRANCH = wp.constant((1 << 20) + 3)
 """Number that derives a random key from a ray's key: the key for choosing the surface that sends a ray within its
 highlight."""
 
@@ -232,7 +251,7 @@ def choose_lobes(
     total = splats + traced_share(wave[0].rays.is_active.shape[0] + i, wave)
     if total <= 0.0:
         return
-    u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
+    u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], SENDER_BRANCH), wave[0].rays.sample[i])
     lobes_out.pixel[square] = at[1] * width + at[0]
     lobes_out.slot[square] = wp.where(u[0] * total < splats, 0, 1)
     follows_out[square] = 1
