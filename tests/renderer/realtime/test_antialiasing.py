@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 
 import lumisplat as ls
+from support.scenes.light_scenes import matte
 from support.scenes.raster_scenes import checker_quad, front_camera, one_gaussian, quad, random_gaussians, similarity
 
 Doubles = npt.NDArray[np.float64]
@@ -223,3 +224,19 @@ def test_still_edges_keep_their_antialiasing_while_something_moves_out_of_sight(
             frames.append(smooth.render(replace(scene_of(edge, behind), lights=[lamp]), CAMERA))
         errors.append(error(frames[-1], good))
     assert errors[1] < 1.05 * errors[0]
+
+
+@pytest.mark.parametrize("step", [0.02, 0.05])
+def test_lit_edges_are_as_smooth_and_as_bright_under_a_moving_lamp_as_under_a_still_one(step: float) -> None:
+    """A lamp comes closer by 2 or 5 cm a frame, beside an environment whose noise hides the change from its samples."""
+    edge = ls.MeshInstance(quad(4.0, 1.0, 0.3, material=matte(0.8)), similarity((0.0, 0.0, 1.0), 0.3))
+    environment = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
+    last = ls.Scene((), [edge], [ls.LightPoint((0.0, 0.0, -1.0), intensity=20.0), environment])
+    errors = []
+    for moved in (0.0, step):
+        smooth, frames = renderer(), []
+        for left in range(31, -1, -1):
+            lamp = ls.LightPoint((0.0, 0.0, -1.0 - moved * left), intensity=20.0)
+            frames.append(smooth.render(replace(last, lights=[lamp, environment]), CAMERA))
+        errors.append(error(frames[-1], truth(last)))
+    assert errors[1] < 1.1 * errors[0]

@@ -210,6 +210,8 @@ class TemporalPixels:
     """Where the pixel's surface was in the previous frame, pixels; (0, 0) is the centre of the first pixel."""
     weight: wp.array[float]
     """Weight of the current frame in the mean over frames, 0..1; 1: there is no history."""
+    changed: wp.array[int]
+    """Pixel around whose known light has changed as that of this one; -1: the change of known light is not followed."""
 
 
 @struct
@@ -227,6 +229,14 @@ class TemporalHistory:
     instance: wp.array[int]
     """Index, in the last frame, of the instance nearest to the eye among the 3 x 3 pixels around, splats first; -1:
     background."""
+
+
+@struct
+class KnownLight:
+    """Light of a frame's pixels that needs no samples: of lights whose visibility is remembered; in row order."""
+
+    diffuse: wp.array[wp.vec3]
+    glossy: wp.array[wp.vec3]
 
 
 # --- Pixels sampled in each frame (``RealtimeConfig.light_interval``), and weights of young means ---

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.device.gi.surfaces import TemporalHistory, TemporalPixels
+from lumisplat.device.gi.surfaces import KnownLight, TemporalHistory, TemporalPixels
 from lumisplat.renderer.realtime import antialiasing_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -32,11 +32,19 @@ class Antialiasing:
         self.has_history = False
 
     def average(
-        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, layers: dict[str, DeviceArray], frame: int
+        self,
+        scene: DeviceScene,
+        plan: FramePlan,
+        wave: RayWave,
+        layers: dict[str, DeviceArray],
+        *,
+        known: tuple[KnownLight, KnownLight],
+        frame: int,
     ) -> None:
         """Replaces the camera rays' radiance, and the layers that the plan requests, by means over frames.
 
-        Radiance and layers are averaged with equal weights.
+        Radiance and layers are averaged with equal weights. ``known`` is the known light of the previous frame and of
+        this one.
         """
         width, height = scene.image_size
         size, radiance = wp.vec2i(width, height), wave.row.radiance
@@ -50,13 +58,15 @@ class Antialiasing:
         motion = scene.motion
         inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
         self._run(kernels.store_pixels, wave.count, *inputs, wave.data, pixels, shares)
-        self._run(kernels.weight_history, width * height, size, motion.sequence, motion.moved_to, before, pixels, now)
+        inputs = size, motion.sequence, motion.moved_to, *known, before, pixels, now
+        self._run(kernels.weight_history, width * height, *inputs)
         images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
         images |= {name: image for name, image in layers.items() if name in plan.aovs}
         images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_catchers else {}
         for name, image in images.items():
             means = [self._mean(name, *number) for number in sizes]
-            inputs = motion.sequence, scene.camera, pixels, means[0], image, means[1]
+            parts = name in ("light", "direct_diffuse"), name in ("light", "direct_glossy")
+            inputs = motion.sequence, scene.camera, pixels, *parts, *known, means[0], image, means[1]
             self._run(kernels.blend, wave.count, *inputs)
         self._run(kernels.store_shares, wave.count, scene.camera, shares, wave.data)
 

@@ -8,6 +8,7 @@ from lumisplat.device.film.samples import first_surface, is_finite
 from lumisplat.device.gi.filter_weights import share_within
 from lumisplat.device.gi.surfaces import (
     InstanceMotion,
+    KnownLight,
     SequenceData,
     TemporalHistory,
     TemporalPixels,
@@ -58,6 +59,10 @@ OUTDATED = wp.constant(wp.float32(1.001e-4))
 CHANGE = wp.constant(wp.float32(ANTIALIASING_CHANGE))
 FAR = wp.constant(wp.float32(FAR_AWAY))
 STILL = wp.constant(wp.float32(STILL_PX))
+
+Ranked = wp.types.vector(length=9, dtype=wp.float32)
+
+Taps = wp.types.vector(length=9, dtype=wp.int32)
 
 
 @wp.kernel
@@ -165,12 +170,50 @@ def nearest_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -
 
 
 @wp.func
+def change_of(pixel: int, before: KnownLight, now: KnownLight) -> wp.vec3:
+    """Returns the change of a pixel's known light since the previous frame; 0 for pixel -1."""
+    if pixel < 0:
+        return wp.vec3(0.0)
+    return now.diffuse[pixel] + now.glossy[pixel] - before.diffuse[pixel] - before.glossy[pixel]
+
+
+@wp.func
+def changed_alike(
+    x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3], before: KnownLight, now: KnownLight
+) -> int:
+    """Returns the pixel whose change of known light is the median of the 3 x 3 still pixels; -1: none stands still.
+
+    The median leaves out edges, whose light changes because each frame samples another point of a pixel.
+    """
+    ranked = Ranked()
+    taps = Taps()
+    count = int(0)
+    for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
+        for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
+            tap = row * size[0] + column
+            if is_still(motions[tap]):
+                change = luminance(change_of(tap, before, now))
+                at = int(count)
+                while at > 0 and ranked[wp.max(at - 1, 0)] > change:
+                    ranked[at] = ranked[at - 1]
+                    taps[at] = taps[at - 1]
+                    at -= 1
+                ranked[at] = change
+                taps[at] = tap
+                count += 1
+    if count == 0:
+        return -1
+    return taps[count // 2]
+
+
+@wp.func
 def is_noise(
     x: int,
     y: int,
     size: wp.vec2i,
     colors: wp.array[wp.vec3],
     motions: wp.array[wp.vec3],
+    shift: wp.vec3,
     history: TemporalHistory,
 ) -> bool:
     """Returns whether this frame's samples of 3 x 3 still pixels differ from the pixels' means only as noise does."""
@@ -183,7 +226,7 @@ def is_noise(
             if not is_still(motions[tap]) or frames[tap] <= 0.0:
                 return False
             sample = luminance(colors[tap])
-            mean = luminance(means[tap])
+            mean = luminance(means[tap] + shift)
             deviation = wp.sqrt(0.5 * changes[tap])
             if wp.abs(sample - mean) > SIGMAS * deviation + LEAST * wp.max(sample, mean):
                 return False
@@ -197,6 +240,7 @@ def unchanged_share(
     size: wp.vec2i,
     colors: wp.array[wp.vec3],
     motions: wp.array[wp.vec3],
+    shift: wp.vec3,
     history: TemporalHistory,
 ) -> float:
     """Returns the weight that a still pixel's history keeps while lights or objects change: 1 if its light has not.
@@ -213,7 +257,7 @@ def unchanged_share(
         for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
             tap = row * size[0] + column
             if is_still(motions[tap]) and frames[tap] > 0.0:
-                mean = luminance(means[tap])
+                mean = luminance(means[tap] + shift)
                 difference += luminance(colors[tap]) - mean
                 variance += 0.5 * changes[tap]
                 total += mean
@@ -250,6 +294,8 @@ def weight_history(
     size: wp.vec2i,
     sequence: wp.array[SequenceData],
     moved_to: wp.array[int],
+    known_before: KnownLight,
+    known: KnownLight,
     history: TemporalHistory,
     pixels_inout: TemporalPixels,
     history_out: TemporalHistory,
@@ -262,6 +308,8 @@ def weight_history(
         sequence: The frame; its weight of cached lighting is below 1 while lights or objects change.
         moved_to: Index in this frame of each instance of the previous frame; UNMOVED (-1): it stood still; GONE (-2):
             it was removed.
+        known_before: Known light of the previous frame.
+        known: Known light of this frame.
         history: History of the previous frame.
         pixels_inout: The pixels; receive the position in the previous frame and the weight.
         history_out: History of this frame.
@@ -276,6 +324,8 @@ def weight_history(
     motion = motions[nearest]
     instance = pixels_inout.instance[nearest]
     frames = float(0.0)
+    changed = int(-1)
+    shift = wp.vec3(0.0)
     mean = color
     change = float(0.0)
     position = wp.vec2(float(x), float(y))
@@ -296,20 +346,22 @@ def weight_history(
             if sequence[0].history_weight <= OUTDATED:
                 frames *= sequence[0].history_weight
             elif stands and sequence[0].history_weight < 1.0:
-                frames *= unchanged_share(x, y, size, colors, motions, history)
+                changed = changed_alike(x, y, size, motions, known_before, known)
+                shift = change_of(changed, known_before, known)
+                frames *= unchanged_share(x, y, size, colors, motions, shift, history)
             if position[0] != float(near_x) or position[1] != float(near_y) or not has_same_size:
                 frames = wp.min(frames, MOVING)
             if frames > 0.0 and has_left(history.instance[tap], instance, moved_to):
                 frames = 0.0
             if frames > 0.0:
-                mean = image_at(history.color, image.size, position)
+                mean = image_at(history.color, image.size, position) + shift
                 retained = float(1.0)
                 at_rest = stands and sequence[0].history_weight >= 1.0
-                if not (at_rest or (stands and is_noise(x, y, size, colors, motions, history))):
+                if not (at_rest or (stands and is_noise(x, y, size, colors, motions, shift, history))):
                     retained = retained_share(x, y, size, colors, mean)
                 frames *= retained
                 if stands:
-                    difference = bright - history.sample[tap]
+                    difference = bright - history.sample[tap] - luminance(shift)
                     step = (
                         retained * difference * difference
                     )  # a change of light that ends the history does not count as noise
@@ -322,6 +374,7 @@ def weight_history(
     weight = 1.0 / (frames + 1.0)
     pixels_inout.previous_pixel[pixel] = position
     pixels_inout.weight[pixel] = weight
+    pixels_inout.changed[pixel] = changed
     history_out.frames[pixel] = wp.min(frames + 1.0, FRAMES)
     history_out.color[pixel] = mean + weight * (color - mean)
     history_out.sample[pixel] = bright
@@ -335,6 +388,10 @@ def blend(
     sequence: wp.array[SequenceData],
     camera: wp.array[CameraData],
     pixels: TemporalPixels,
+    has_diffuse: bool,
+    has_glossy: bool,
+    known_before: KnownLight,
+    known: KnownLight,
     before: wp.array[wp.vec3],
     image_inout: wp.array[wp.vec3],
     after_out: wp.array[wp.vec3],
@@ -342,6 +399,19 @@ def blend(
     """Per ray: replaces the ray's image value by the mean over frames, and also stores the mean in ``after_out``.
 
     The next frame reads ``after_out`` as ``before``.
+
+    Args:
+        start: Offset added to the thread index.
+        sequence: The frame, with the size of the previous images.
+        camera: Camera of the frame.
+        pixels: The pixels, after `weight_history`.
+        has_diffuse: Whether the image includes diffuse known light.
+        has_glossy: Whether the image includes glossy known light.
+        known_before: Known light of the previous frame.
+        known: Known light of this frame.
+        before: Mean image of the previous frame.
+        image_inout: Image of this frame.
+        after_out: Mean image of this frame.
     """
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
@@ -351,6 +421,11 @@ def blend(
     weight = pixels.weight[pixel]
     if weight < 1.0:
         mean = image_at(before, sequence[0].before.size, pixels.previous_pixel[pixel])
+        tap = pixels.changed[pixel]
+        if tap >= 0 and has_diffuse:
+            mean += known.diffuse[tap] - known_before.diffuse[tap]
+        if tap >= 0 and has_glossy:
+            mean += known.glossy[tap] - known_before.glossy[tap]
         value = mean + weight * (value - mean)
     image_inout[i] = value
     after_out[pixel] = value

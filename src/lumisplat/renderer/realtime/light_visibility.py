@@ -12,7 +12,7 @@ import warp as wp
 from lumisplat.config import FilterConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.gi.light_visibility import LightVisibility, VisibilitySample
-from lumisplat.device.gi.surfaces import PixelLight
+from lumisplat.device.gi.surfaces import KnownLight, PixelLight
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.realtime import light_visibility_kernels as kernels
 from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
@@ -124,12 +124,13 @@ class LightVisibilities:
         surfaces: PixelSurfaces,
         visibility: LightVisibility,
         *,
+        known: KnownLight,
         layers: tuple[DeviceArray, DeviceArray],
         no_shadows: bool,
     ) -> None:
-        """Adds the light whose visibility is remembered to the camera rays, and to diffuse and glossy layers."""
+        """Adds the light whose visibility is remembered to camera rays, ``known``, and diffuse and glossy layers."""
         inputs = no_shadows, self._kind, scene.camera, scene.shading, wave.data, visibility
-        inputs = *inputs, surfaces.now.footprint, *layers
+        inputs = *inputs, surfaces.now.footprint, known, *layers
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernels.add_remembered_light, wave.count, *inputs, bands=bands)
 

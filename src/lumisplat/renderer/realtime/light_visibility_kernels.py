@@ -27,6 +27,7 @@ from lumisplat.device.gi.light_visibility import (
     unpack,
 )
 from lumisplat.device.gi.surfaces import (
+    KnownLight,
     PixelLight,
     Reprojection,
     SequenceData,
@@ -362,10 +363,11 @@ def add_remembered_light(
     wave: wp.array[WaveData],
     remembered: LightVisibility,
     footprint: wp.array[float],
+    known_inout: KnownLight,
     diffuse_inout: wp.array[wp.vec3],
     glossy_inout: wp.array[wp.vec3],
 ):
-    """Per ray: adds the light of all lights whose visibility is remembered to its radiance and to two layers.
+    """Per ray: adds the light of all lights whose visibility is remembered to radiance, known light and two layers.
 
     Highlights are widened by the ``footprint`` of the pixel and by the extent of the light, unless they are sampled.
     """
@@ -404,5 +406,7 @@ def add_remembered_light(
                     )
                 glossy += shown * wp.cw_mul(wp.max(in_pixel - scattered, wp.vec3(0.0)), irradiance)
     wave[0].radiance.light[i] += diffuse + glossy
+    known_inout.diffuse[pixel] += diffuse
+    known_inout.glossy[pixel] += glossy
     diffuse_inout[i] += diffuse
     glossy_inout[i] += glossy

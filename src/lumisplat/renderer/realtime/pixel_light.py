@@ -10,7 +10,7 @@ import warp as wp
 from lumisplat.config import RenderConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.gi.light_visibility import LightVisibility
-from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight
+from lumisplat.device.gi.surfaces import FilteredLight, KnownLight, PixelLight, SurfaceLight
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.realtime import captured_emitter_kernels, pixel_light_kernels
@@ -111,12 +111,16 @@ class PixelLights:
             inputs = *inputs, scene.shading, wave.data, *self._footprints(surfaces), light, rays
             self._run(pixel_light_kernels.sample_lights, count, *inputs)
         visibility = self._visibility(scene, plan, rays)
+        known = self.known(scene.image_size, parity)
+        for image in (known.diffuse, known.glossy):
+            device_array(image).zero_()
         if self._remembers:
             with self._launcher.stage("visibility"):
                 for kind in surfaces:
                     part, before = self._visibilities[kind.kind], remembered[kind.kind]
                     now = part.update(scene, kind, light, rays, visibility=visibility, before=before, parity=parity)
-                    part.add(scene, wave, kind, now, layers=layers, no_shadows=not plan.casts_shadows)
+                    inputs = scene, wave, kind, now
+                    part.add(*inputs, known=known, layers=layers, no_shadows=not plan.casts_shadows)
         self._add_captured(scene, plan, wave, light, rays, visibility=visibility, layers=layers)
         with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
@@ -136,6 +140,10 @@ class PixelLights:
             else:
                 visibilities.reset()
         return before != self._remembers
+
+    def known(self, size: tuple[int, int], parity: int) -> KnownLight:
+        """Returns the known light of the frame of this parity, whose images have ``size``."""
+        return self._buffers.struct(f"pixel_light.known{parity % 2}", KnownLight, size[0] * size[1])
 
     def graph_key(self, parity: int) -> object:
         """Returns what a CUDA graph of a frame of this parity contains of the visibilities of the frame before."""

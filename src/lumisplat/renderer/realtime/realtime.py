@@ -199,7 +199,9 @@ class RealtimeIntegrator:
                     self._lights.add(scene, wave, kind, filtered, layers)
         if plan.jitters:
             with frame_pass("antialiasing"):
-                self._antialiasing.average(scene, plan, wave, images, number)
+                sizes = (scene.motion.size_before, number + 1), (scene.image_size, number)
+                before, now = (self._lights.known(*size) for size in sizes)
+                self._antialiasing.average(scene, plan, wave, images, known=(before, now), frame=number)
         if debug_names := sorted(plan.aovs & {*REALTIME_AOVS}):
             with frame_pass("views"):
                 images |= self._debug_images(debug_names, scene, surfaces, wave.count, number)
