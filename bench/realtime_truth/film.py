@@ -1,4 +1,4 @@
-"""Renders a film of a moving scene in real time, with denoised paths beside every 12th frame (20 minutes).
+"""Renders a film of a moving scene in real time, with denoised paths beside every 12th frame (25 minutes of CPU time).
 
 ``python -m bench.realtime_truth.film OUT`` renders 96 frames of the moving demo room, or of ``--scene playbot``: 12
 stand still, in 48 everything moves, and in the others the light settles. The camera moves aside and back. OUT receives
@@ -19,6 +19,7 @@ from PIL import Image
 import lumisplat as ls
 from bench.realtime_truth.frames import add_quality, decibels, log, options, paths
 from bench.realtime_truth.motion import FPS, Moving, moving_room, playbot
+from bench.realtime_truth.playbot import missing
 
 FRAMES = 96
 STILL = 12
@@ -52,6 +53,9 @@ def main() -> None:
     asked.add_argument("--samples", type=int, default=16, help="samples per pixel of the paths (default: 16)")
     add_quality(asked)
     given = asked.parse_args()
+    if given.scene == "playbot" and missing():
+        print(f"playbot: skipped, without {', '.join(missing())} (set LUMISPLAT_DATA)")
+        return
     moving = playbot(given.width) if given.scene == "playbot" else moving_room(given.width)
     config = ls.RenderConfig(
         pipeline=ls.Pipeline.REALTIME,

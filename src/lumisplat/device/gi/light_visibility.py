@@ -166,19 +166,10 @@ def choice_weight(
 
 
 @wp.func
-def light_by_uncertainty(
-    u: float, pixel: int, interaction: Interaction, remembered: LightVisibility, scene: wp.array[ShadingScene]
-) -> LightChoice:
-    """Chooses one of at most `GRID_LIGHTS` lights, by unshadowed light times uncertainty; -1: none."""
+def light_by_weight(u: float, weights: LightValues, total: float, count: int) -> LightChoice:
+    """Chooses one of ``count`` lights in proportion to its weight; -1: ``total``, their sum, is 0 or not finite."""
     choice = LightChoice()
     choice.number = -1
-    lobe = lobe_at(interaction)
-    weights = LightValues()
-    total = float(0.0)
-    count = choice_count(scene)
-    for number in range(count):
-        weights[number] = choice_weight(number, pixel, interaction, lobe, remembered, scene)
-        total += weights[number]
     if not (total > 0.0 and total < wp.inf):
         return choice
     rest = u * total
@@ -188,6 +179,21 @@ def light_by_uncertainty(
             choice.probability = weights[number] / total
             rest -= weights[number]
     return choice
+
+
+@wp.func
+def light_by_uncertainty(
+    u: float, pixel: int, interaction: Interaction, remembered: LightVisibility, scene: wp.array[ShadingScene]
+) -> LightChoice:
+    """Chooses one of at most `GRID_LIGHTS` lights, by unshadowed light times uncertainty; -1: none."""
+    lobe = lobe_at(interaction)
+    weights = LightValues()
+    total = float(0.0)
+    count = choice_count(scene)
+    for number in range(count):
+        weights[number] = choice_weight(number, pixel, interaction, lobe, remembered, scene)
+        total += weights[number]
+    return light_by_weight(u, weights, total, count)
 
 
 @struct

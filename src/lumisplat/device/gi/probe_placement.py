@@ -277,7 +277,8 @@ def match_of(
     size = image.size
     if not (there[0] >= 0.0 and there[1] >= 0.0 and there[0] < float(size[0]) and there[1] < float(size[1])):
         return match
-    tile = int(there[1]) // grid.tile * ((size[0] + grid.tile - 1) // grid.tile) + int(there[0]) // grid.tile
+    columns = (size[0] + grid.tile - 1) // grid.tile
+    tile = (int(there[1]) // grid.tile) * columns + int(there[0]) // grid.tile
     reach = reach_of(grid, camera, wp.length(position - camera.eye))
     for adaptive in range(2):
         i = probe_of_tile(tile, adaptive, adaptive_of)

@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.constants import GRID_LIGHTS
-from lumisplat.device.gi.light_visibility import LightValues
+from lumisplat.device.gi.light_visibility import LightValues, light_by_weight
 from lumisplat.device.gi.radiance_cache import TILE_CELLS, CacheTiles
 from lumisplat.device.gi.surfaces import SurfacePixels, is_same_surface, least_cosine, tolerance
 from lumisplat.device.light.direct_light import choice_count, environment_number, light_importance, uses_mis
@@ -37,10 +37,11 @@ Screen probes resolve 0.4 radians. GI-1.1 traces rays up to a roughness of 0.2, 
 LOBE_ALPHA_TO = 0.25
 """Highlights above this GGX alpha (roughness 0.5) take their light from screen probes alone and send no rays."""
 
-SEEN_LEAST = 0.1
-"""Smallest factor on how often a light is chosen; it applies to lights of which nothing arrived lately."""
+ROOT_LEAST = 0.1
+"""Least root of the fraction of a light that arrives, so that lights of which nothing arrived lately are still chosen.
+"""
 
-SEEN_MIN = wp.constant(wp.float32(SEEN_LEAST))
+ROOT_MIN = wp.constant(wp.float32(ROOT_LEAST))
 
 LIGHTS = wp.constant(GRID_LIGHTS)
 
@@ -84,11 +85,11 @@ def light_that_arrives(
     """Chooses one of at most `GRID_LIGHTS` lights at a hit, often those that arrive in its cell of the radiance cache.
 
     Samples of a light of irradiance E, of which the fraction V arrives, have the second moment V E^2. Therefore noise
-    is least if lights are chosen in proportion to E times the root of V; here, the root is at least ``SEEN_MIN``.
+    is least if lights are chosen in proportion to E times the root of V; here, the root is at least ``ROOT_LEAST``.
 
     Args:
         u: Random, 0..1.
-        slot: Slot of the cell's tile; -1: the cache has no such tile, and all lights count as seen.
+        slot: Slot of the cell's tile; -1: the cache has no such tile, and all lights count as arriving.
         cell: Index of the cell in its tile.
         interaction: The hit, on a matte surface.
         tiles: Tiles of the cache.
@@ -97,27 +98,17 @@ def light_that_arrives(
     Returns:
         The choice; its number is -1 if no light reaches the hit.
     """
-    choice = LightChoice()
-    choice.number = -1
     weights = LightValues()
     total = float(0.0)
     first = (slot * TILE_CELLS + cell) * LIGHTS
     count = choice_count(scene)
     for number in range(count):
-        seen = float(1.0)
+        root = float(1.0)
         if slot >= 0:
-            seen = wp.max(wp.sqrt(float(tiles.arrived[first + number]) / 255.0), SEEN_MIN)
-        weights[number] = seen * light_importance(number, interaction.position, interaction.normal, scene)
+            root = wp.max(wp.sqrt(float(tiles.arrived[first + number]) / 255.0), ROOT_MIN)
+        weights[number] = root * light_importance(number, interaction.position, interaction.normal, scene)
         total += weights[number]
-    if not (total > 0.0 and total < wp.inf):
-        return choice
-    rest = u * total
-    for number in range(count):
-        if weights[number] > 0.0 and rest >= 0.0:
-            choice.number = number
-            choice.probability = weights[number] / total
-            rest -= weights[number]
-    return choice
+    return light_by_weight(u, weights, total, count)
 
 
 @struct

@@ -211,7 +211,7 @@ class TemporalPixels:
     weight: wp.array[float]
     """Weight of the current frame in the mean over frames, 0..1; 1: there is no history."""
     changed: wp.array[int]
-    """Pixel around whose known light has changed as that of this one; -1: the change of known light is not followed."""
+    """Pixel whose change of known light is added to this pixel's means; -1: none is."""
 
 
 @struct
@@ -233,7 +233,7 @@ class TemporalHistory:
 
 @struct
 class KnownLight:
-    """Light of a frame's pixels that needs no samples: of lights whose visibility is remembered; in row order."""
+    """Light of each pixel that needs no samples, because the visibility of its lights is remembered; in row order."""
 
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]

@@ -6,15 +6,17 @@ The method is in docs/method/realtime.md#captured-emitters.
 import warp as wp
 
 from lumisplat.constants import EMITTER_OPAQUE, LIGHT_POWER_MAX
+from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.gi.captured_emitters import EmitterBox, chosen_box, direction_pdf, point_in, total_weight
 from lumisplat.device.gi.secondary_rays import lobe_share
-from lumisplat.device.gi.surfaces import PixelLight, highlight_width
+from lumisplat.device.gi.surfaces import KnownLight, PixelLight, highlight_width
 from lumisplat.device.light.direct_light import contribution_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.shadow_rays import start_shadow_ray
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.math.color import captured_color, is_black, luminance
 from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.device.structs.shading import LightSample, ShadingScene, WaveData
 
@@ -45,11 +47,11 @@ def start_captured_rays(
     start: int,
     follows_lobes: bool,
     boxes: wp.array[EmitterBox],
+    camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     slots: wp.array[int],
-    known_diffuse: wp.array[wp.vec3],
-    known_glossy: wp.array[wp.vec3],
+    known: KnownLight,
     light_out: PixelLight,
     rays_out: RayData,
 ):
@@ -62,18 +64,19 @@ def start_captured_rays(
         follows_lobes: Whether other rays, sent within highlights, also hit captures. If so, this kernel samples only
             the fraction of each highlight that those rays do not cover.
         boxes: Boxes around the captures.
+        camera: Camera of the frame.
         scene: The scene.
         wave: The camera rays; each pixel's light sample has its number in a low-discrepancy sequence.
         slots: For each camera ray, which of its two surfaces has a light sample; -1: none.
-        known_diffuse: Diffuse light of each camera ray that needs no samples.
-        known_glossy: The same for glossy light.
+        known: Known light of the frame.
         light_out: Reflected radiance for incoming radiance 1, divided by the pdf of the direction.
         rays_out: The rays; they end behind the boxes.
     """
     i = start + wp.tid()
     rays_out.is_active[i] = False
     slot = slots[i]
-    if slot < 0:
+    pixel = pixel_number(i, camera)
+    if slot < 0 or pixel < 0:
         return
     j = slot * wave[0].rays.is_active.shape[0] + i
     interaction = load_interaction(j, wave)
@@ -97,8 +100,8 @@ def start_captured_rays(
     faces = wp.dot(box.half, wp.vec3(box.half[1], box.half[2], box.half[0]))
     radiance = scene[0].settings[0].capture_gain * box.power / (8.0 * faces)
     expected = radiance * luminance(contribution.color)
-    known = luminance(known_diffuse[i] + known_glossy[i])
-    chance = wp.clamp(expected / wp.max(KNOWN_SHARE * known, TINY), CHANCE_MIN, 1.0)
+    bright = luminance(known.diffuse[pixel] + known.glossy[pixel])
+    chance = wp.clamp(expected / wp.max(KNOWN_SHARE * bright, TINY), CHANCE_MIN, 1.0)
     if sobol_2d(branch_key(key, ROULETTE_BRANCH), number)[0] >= chance:
         return
     contribution.color = contribution.color / chance

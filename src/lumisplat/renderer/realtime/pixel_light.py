@@ -121,7 +121,7 @@ class PixelLights:
                     now = part.update(scene, kind, light, rays, visibility=visibility, before=before, parity=parity)
                     inputs = scene, wave, kind, now
                     part.add(*inputs, known=known, layers=layers, no_shadows=not plan.casts_shadows)
-        self._add_captured(scene, plan, wave, light, rays, visibility=visibility, layers=layers)
+        self._add_captured(scene, plan, wave, light, rays, visibility=visibility, known=known)
         with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
@@ -202,7 +202,7 @@ class PixelLights:
         rays: RayData,
         *,
         visibility: DeviceArray,
-        layers: tuple[DeviceArray, DeviceArray],
+        known: KnownLight,
     ) -> None:
         """Adds the light of captures that count as lights, with at most one ray for each light sample.
 
@@ -215,8 +215,8 @@ class PixelLights:
         reflected = self._buffers.struct("captured_light", PixelLight, count, {"slot", "light", "ratio"})
         sent = self._buffers.struct("captured_light.rays", RayData, count)
         with self._launcher.stage("lights"):
-            inputs = self._follows_lobes, boxes, scene.shading, wave.data
-            self._run(kernels.start_captured_rays, count, *inputs, light.slot, *layers, reflected, sent)
+            inputs = self._follows_lobes, boxes, scene.camera, scene.shading, wave.data
+            self._run(kernels.start_captured_rays, count, *inputs, light.slot, known, reflected, sent)
         meshes = self._tracer.find_meshes(scene, sent, "captured_light.meshes")
         ends, is_glass = get("captured_light.ends", wp.float32, count), get("captured_light.is_glass", wp.int32, count)
         run = self._launcher.run_banded
