@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.motion import MOVED_BOXES
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from support.probes.probe_motion_kernels import probe_meshes, probe_pixels, probe_splats
@@ -240,3 +242,42 @@ def test_previous_pixel_of_a_point_is_its_projection_by_the_previous_camera() ->
     np.testing.assert_allclose(found[near, :2], truth[near], rtol=2e-6, atol=2e-4)
     np.testing.assert_allclose(found[ahead, 2], np.linalg.norm(seen[ahead], axis=1), rtol=1e-6)
     assert not found[~ahead].any()
+
+
+def moved_boxes(sequence: Sequence) -> tuple[Doubles, Doubles]:
+    """Returns lower and upper corners of the boxes around what has moved in the last frame."""
+    motion = sequence.scene.motion
+    motion.begin_frame(1)
+    boxes: Any = motion.moved_boxes.numpy()
+    count = int(np.asarray(motion.sequence.numpy()["moved"])[0])
+    center, half = (np.asarray(boxes[name][:count], np.float64) for name in ("center", "half"))
+    return center - half, center + half
+
+
+def test_boxes_enclose_where_moved_objects_were_and_are_new_ones_and_removed_ones() -> None:
+    """A first frame and what stands still or shows captured colours have none; many share the last one."""
+    mesh, gaussians, relit = octahedron((0.1, 0.0, 0.0), 0.5), capture(), ls.MaterialPbr()
+    still, there = ls.MeshInstance(mesh, HERE), MOVES["all three"]
+    sequence = Sequence()
+    sequence.show(still, ls.SplatInstance(gaussians, HERE))
+    assert len(moved_boxes(sequence)[0]) == 0
+    sequence.show(still, ls.MeshInstance(mesh, there), ls.SplatInstance(gaussians, there))
+    low, high = moved_boxes(sequence)
+    assert len(low) == 1
+    points = moved(there, np.asarray(mesh.positions, np.float64))
+    assert (low[0] <= points.min(axis=0) + 1e-6).all()
+    assert (high[0] >= points.max(axis=0) - 1e-6).all()
+    assert (high - low < 3.0 * np.ptp(points, axis=0)).all()
+    sequence.show(still, ls.SplatInstance(gaussians, HERE, material=relit))
+    sequence.show(still, ls.SplatInstance(gaussians, there, material=relit))
+    low, high = moved_boxes(sequence)
+    for row, transform in enumerate((there, HERE)):
+        means = moved(transform, gaussians.means.astype(np.float64))
+        reach = 3.0 * gaussians.scales.min() * np.cbrt(np.linalg.det(transform[:3, :3]))
+        assert (low[row] < means.min(axis=0) - reach).all()
+        assert (high[row] > means.max(axis=0) + reach).all()
+    many = [ls.MeshInstance(mesh, similarity(offset=(float(k), 0.0, 0.0))) for k in range(40)]
+    sequence.show(still, *many)
+    low, high = moved_boxes(sequence)
+    assert len(low) == MOVED_BOXES
+    assert high[:, 0].max() > 39.0

@@ -7,7 +7,7 @@ Unshadowed light of lamps and suns is computed anew in each frame; only its visi
 import warp as wp
 
 from lumisplat.constants import GRID_LIGHTS
-from lumisplat.device.gi.surfaces import PixelLight
+from lumisplat.device.gi.surfaces import MovedBox, PixelLight
 from lumisplat.device.light.direct_light import (
     CHOICE_BRANCH,
     POINT_BRANCH,
@@ -126,6 +126,34 @@ def is_learnt(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[S
         return False
     center = sample_light(scene[0].lights[number], position, 0, wp.vec2(0.5))
     return wp.dot(normal, center.direction) > -radius and not is_black(center.irradiance)
+
+
+@wp.func
+def may_be_moved(
+    number: int, position: wp.vec3, moved: int, boxes: wp.array[MovedBox], scene: wp.array[ShadingScene]
+) -> bool:
+    """Returns whether light ``number`` may reach a point through one of the first ``moved`` boxes."""
+    center = sample_light(scene[0].lights[number], position, 0, wp.vec2(0.5))
+    radius = angular_radius(number, position, scene)
+    for k in range(moved):
+        to_box = boxes[k].center - position
+        # A cone of light has this radius at the far end of the box.
+        wide = radius * (wp.length(to_box) + wp.length(boxes[k].half))
+        entry = float(0.0)
+        end = center.distance
+        for axis in range(3):
+            reach = boxes[k].half[axis] + wide
+            along = center.direction[axis]
+            if wp.abs(along) > 1.0e-6:
+                a = (to_box[axis] - reach) / along
+                b = (to_box[axis] + reach) / along
+                entry = wp.max(entry, wp.min(a, b))
+                end = wp.min(end, wp.max(a, b))
+            elif wp.abs(to_box[axis]) > reach:
+                end = -1.0
+        if entry <= end:
+            return True
+    return False
 
 
 @wp.func

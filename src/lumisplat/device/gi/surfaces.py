@@ -110,6 +110,20 @@ class SequenceData:
     """Factor on the weight of cached lighting in this frame, 0..1; 1 unless lighting has changed."""
     before: PreviousImage
     """Images of the previous frame."""
+    moved: int
+    """Number of boxes around objects that have moved, `MovedBox`."""
+
+
+@struct
+class MovedBox:
+    """World-space box around an object that has moved, appeared or left since the previous frame, where it was and is.
+
+    Light that passes by all boxes is blocked as in the previous frame.
+    """
+
+    center: wp.vec3
+    half: wp.vec3
+    """Half the length of the box along each axis, scene units."""
 
 
 @struct
@@ -233,10 +247,14 @@ class TemporalHistory:
 
 @struct
 class KnownLight:
-    """Light of each pixel that needs no samples, because the visibility of its lights is remembered; in row order."""
+    """Light of each pixel that hardly changes by chance from frame to frame; in row order."""
 
     diffuse: wp.array[wp.vec3]
+    """Diffuse light of lights whose visibility is remembered."""
     glossy: wp.array[wp.vec3]
+    """Highlights of lights whose visibility is remembered."""
+    indirect: wp.array[wp.vec3]
+    """Diffuse indirect light, filtered."""
 
 
 # --- Pixels sampled in each frame (``RealtimeConfig.light_interval``), and weights of young means ---

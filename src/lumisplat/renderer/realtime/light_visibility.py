@@ -65,8 +65,10 @@ class LightVisibilities:
         before = self._visibility(f"{self._kind}.{1 - parity}", size, lights_before or lights)
         if lights_before == 0:
             cast(DeviceArray, before.counts).zero_()
-        inputs = scene.motion.light_before, scene.motion.light_kept, surfaces.now, surfaces.reprojection
-        inputs = *inputs, scene.motion.sequence, before, found
+        motion, (width, height) = scene.motion, scene.image_size
+        moved = self._buffers.get(f"visibility.{self._kind}.moved", wp.int32, width * height)
+        inputs = motion.light_before, motion.light_kept, motion.moved_boxes, surfaces.now, surfaces.reprojection
+        inputs = *inputs, motion.sequence, scene.shading, before, found, moved
         self._run(scene, kernels.reproject_visibility, *inputs)
         return found
 
@@ -93,7 +95,8 @@ class LightVisibilities:
         now = self._visibility(f"{self._kind}.{parity}", scene.image_size, lights)
         inputs = min(float(self._config.frames), COUNT_MOST), surfaces.now, scene.camera
         partial = self._buffers.get("visibility.partial", wp.int32, width * height)
-        inputs = *inputs, scene.shading, scene.motion.light_kept, sample, before, now, partial
+        moved = self._buffers.get(f"visibility.{self._kind}.moved", wp.int32, width * height)
+        inputs = *inputs, scene.shading, moved, sample, before, now, partial
         self._run(scene, kernels.update_visibility, *inputs)
         return self._smooth(scene, surfaces, now, partial, lights)
 

@@ -21,6 +21,7 @@ from lumisplat.device.gi.light_visibility import (
     VisibilitySample,
     has_visibility,
     is_learnt,
+    may_be_moved,
     pack,
     remembered_highlight,
     sample_variance,
@@ -28,6 +29,7 @@ from lumisplat.device.gi.light_visibility import (
 )
 from lumisplat.device.gi.surfaces import (
     KnownLight,
+    MovedBox,
     PixelLight,
     Reprojection,
     SequenceData,
@@ -51,8 +53,11 @@ wp.set_module_options(SHADE_OPTIONS)
 CHANGE_SIGMAS = wp.constant(wp.float32(2.0))
 """A visibility counts as changed if samples around a pixel differ by this many standard deviations."""
 
-MOVED_COUNT = wp.constant(wp.float32(2.0))
-"""Largest number of samples in the visibility of a light that has moved since the previous frame."""
+MOVED_COUNT = wp.constant(wp.float32(1.0))
+"""Largest number of samples in a visibility if the light, or an object between light and surface, may have moved."""
+
+MOVED_SIGMAS = wp.constant(wp.float32(0.5))
+"""Such a visibility is replaced if samples around the pixel differ by more standard deviations."""
 
 ALIKE = wp.constant(wp.float32(0.3))
 """Only pixels whose visibilities differ by less take part in a test for changes: at the edge of a shadow, the jitter of
@@ -71,18 +76,25 @@ def reproject_visibility(
     size: wp.vec2i,
     light_before: wp.array[int],
     light_kept: wp.array[int],
+    boxes: wp.array[MovedBox],
     surfaces: SurfacePixels,
     reprojection: Reprojection,
     sequence: wp.array[SequenceData],
+    scene: wp.array[ShadingScene],
     before: LightVisibility,
     visibility_out: LightVisibility,
+    moved_out: wp.array[int],
 ):
-    """Per pixel: fetches the visibilities from where its surface was in the previous frame."""
+    """Per pixel: fetches the visibilities from where its surface was in the previous frame.
+
+    Bit ``k`` of ``moved_out`` tells whether light ``k``, or an object between it and the surface, may have moved.
+    """
     pixel = start + wp.tid()
     weights = wp.vec4(0.0)
     if surfaces.share[pixel] > 0.0:
         weights = reprojection.weights[pixel]
     first = reprojection.first[pixel]
+    moved = int(0)
     for light in range(light_before.shape[0]):
         source = light_before[light]
         total = float(0.0)
@@ -100,10 +112,15 @@ def reproject_visibility(
         if total > 0.0:
             mean = mean / total
             count = wp.round(count)
-            if light_kept[light] == 0:
+            has_moved = light_kept[light] == 0
+            if not has_moved and has_visibility(light, scene):
+                has_moved = may_be_moved(light, surfaces.position[pixel], sequence[0].moved, boxes, scene)
+            if has_moved:
+                moved = moved | (1 << light)
                 count = wp.min(count, MOVED_COUNT)
         visibility_out.packed[pixel, light] = pack(mean)
         visibility_out.counts[pixel, light] = wp.uint8(count)
+    moved_out[pixel] = moved
 
 
 @wp.kernel
@@ -148,7 +165,7 @@ def update_visibility(
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
-    light_kept: wp.array[int],
+    moved: wp.array[int],
     sample: VisibilitySample,
     before: LightVisibility,
     visibility_out: LightVisibility,
@@ -166,7 +183,7 @@ def update_visibility(
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         scene: The scene.
-        light_kept: 0 for a light that has moved since the previous frame.
+        moved: Bit ``k`` tells whether light ``k``, or an object between it and the surface, may have moved.
         sample: Samples of the frame.
         before: Reprojected visibilities.
         visibility_out: Visibilities with the samples.
@@ -201,6 +218,7 @@ def update_visibility(
     of_visibility = sample.visibility
     packed = before.packed
     counts = before.counts
+    own_moved = moved[pixel]
     for row in range(wp.max(y - 2, 0), wp.min(y + 3, size[1])):
         for column in range(wp.max(x - 2, 0), wp.min(x + 3, size[0])):
             tap = row * size[0] + column
@@ -213,12 +231,12 @@ def update_visibility(
                         count = float(counts[tap, light])
                         is_witness = False
                         weight = float(1.0)
-                        if light_kept[light] != 0 and counts[pixel, light] > wp.uint8(0):
+                        if (own_moved >> light) & 1 == 0 and counts[pixel, light] > wp.uint8(0):
                             if count <= 0.0 or wp.abs(mean - luminance(unpack(packed[pixel, light]))) >= ALIKE:
                                 weight = 0.0
                             is_witness = (row + column - x - y) % 2 != 0
                         else:
-                            weight = falloff(0.5 * float((row - y) * (row - y) + (column - x) * (column - x)))
+                            weight = falloff(float((row - y) * (row - y) + (column - x) * (column - x)))
                         if not is_witness:
                             for channel in range(3):
                                 found[light, channel] = found[light, channel] + weight * passed[channel]
@@ -235,6 +253,7 @@ def update_visibility(
                                     held[number, channel] = held[number, channel] + mean_of[channel]
     own = of_light[pixel]
     for number in range(lights):
+        has_moved = (own_moved >> number) & 1 != 0
         around = wp.vec3(1.0)
         if sampled[number] > 0.0:
             around = wp.vec3(found[number, 0], found[number, 1], found[number, 2]) / sampled[number]
@@ -245,16 +264,21 @@ def update_visibility(
             if known[number] > 0.0:
                 value = wp.vec3(held[number, 0], held[number, 1], held[number, 2])
                 value = (value + sampled[number] * around) / (known[number] + sampled[number])
-        elif light_kept[number] == 0:
-            value += (sampled[number] / (count + sampled[number])) * (around - value)
+        elif has_moved:
+            if sampled[number] > 0.0:
+                bright = luminance(value)
+                unsure = sample_variance(bright, count) * (1.0 / sampled[number] + 1.0 / count)
+                count *= share_within(wp.abs(luminance(around) - bright), MOVED_SIGMAS * wp.sqrt(unsure))
+                value += (sampled[number] / (count + sampled[number])) * (around - value)
         else:
             by_chance = CHANGE_SIGMAS * wp.sqrt(variance[number])
             retained = share_within(wp.abs(difference[number]), by_chance)
             count *= retained
             value += (1.0 - retained) * (sampled[number] / (sampled[number] + 1.0)) * (around - value)
-        if own == number:
-            if light_kept[number] != 0:
-                value += (of_visibility[pixel] - value) / (count + 1.0)
+        if has_moved:
+            count = wp.min(count + sampled[number], wp.min(CERTAIN_FRAMES, frames_max))
+        elif own == number:
+            value += (of_visibility[pixel] - value) / (count + 1.0)
             count = wp.min(count + 1.0, frames_max)
         count = wp.round(count)
         if not has_visibility(number, scene):

@@ -70,9 +70,9 @@ class CapturedEmitters:
         The tracer accumulates the radiance of flagged captures separately. None: there are no such captures."""
         self.instances: tuple[int, ...] = ()
         """Indices of the splat instances that are sampled as lights."""
-        self._boxes: _AssetCache[Boxes] = _AssetCache(boxes_of)
-        self._bounds: _AssetCache[Doubles] = _AssetCache(_bounds_of)
-        self._points: _AssetCache[Doubles] = _AssetCache(_sample_points)
+        self._boxes: AssetCache[Boxes] = AssetCache(boxes_of)
+        self._bounds: AssetCache[Doubles] = AssetCache(bounds_of)
+        self._points: AssetCache[Doubles] = AssetCache(_sample_points)
 
     def sync(self, scene: Scene, splats: np.ndarray, buffers: Buffers) -> None:
         """Writes the tables of a scene; ``splats`` holds its splat instances as rows of SplatInstanceData."""
@@ -106,7 +106,7 @@ class CapturedEmitters:
         return np.concatenate(rows)
 
 
-class _AssetCache(Generic[Result]):
+class AssetCache(Generic[Result]):
     """Caches a function's result for each asset; results that the latest call did not request are dropped."""
 
     def __init__(self, find: Callable[[Any], Result]) -> None:
@@ -218,7 +218,8 @@ def _enclosing_box(gaussians: Gaussians, power: float) -> _Box:
     return _Box(0.5 * (low + high), np.eye(3), 0.5 * (high - low), power, np.zeros(0, np.int64))
 
 
-def _bounds_of(gaussians: Gaussians) -> Doubles:
+def bounds_of(gaussians: Gaussians) -> Doubles:
+    """Returns lower and upper corner of a box around a capture, object space, shape (2, 3), from a part of it."""
     return _bounds(gaussians, max(1, -(-gaussians.count // EMITTER_GAUSSIANS)))
 
 

@@ -14,10 +14,14 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion, PreviousImage, SequenceData
+from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion, MovedBox, PreviousImage, SequenceData
 from lumisplat.device.structs.camera import CameraData
+from lumisplat.math.arrays import Doubles
+from lumisplat.math.transforms import transform_points
 from lumisplat.renderer.scene.assets import as_device_array, first_of
 from lumisplat.renderer.scene.camera_table import camera_table
+from lumisplat.renderer.scene.captured_emitters import AssetCache, bounds_of
+from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, rows_of
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light
@@ -50,6 +54,9 @@ CHANGED_STRENGTH = 2.0
 COMPARED_BY_VALUE_MAX = 16
 """Largest number of elements with which two arrays are compared by value; larger ones are compared by identity."""
 
+MOVED_BOXES = 16
+"""Largest number of boxes around objects that have moved; the last one encloses all further objects."""
+
 Instance = TypeVar("Instance", SplatInstance, MeshInstance)
 
 
@@ -67,6 +74,8 @@ class Motion:
         self._camera: Camera | None = None
         self._positions: wp.array[wp.vec3] | None = None
         self._changes = LightChanges()
+        self._bounds: AssetCache[Doubles] = AssetCache(bounds_of)
+        self._moved = 0
         self.history_weight = 1.0
         """Factor on the weight of cached lighting in this frame, 0..1; 1 unless lighting has changed."""
         self.sequence = buffers.get("motion.sequence", SequenceData, 1)
@@ -85,6 +94,8 @@ class Motion:
         self.moved_to: wp.array[int]
         """Index in this frame of each instance of the previous frame, splat instances first; UNMOVED (-1) if it stood
         still, GONE (-2) if it was removed."""
+        self.moved_boxes: wp.array[MovedBox]
+        """Boxes around objects that have moved; `MOVED_BOXES` rows, of which the first ``SequenceData.moved`` count."""
         self.light_before: wp.array[int]
         """Index in the previous frame of each light; -1: the light is new."""
         self.light_kept: wp.array[int]
@@ -119,6 +130,10 @@ class Motion:
         numbers = [*splats, *(None if number is None else len(before.splats) + number for number in meshes)]
         moved = moved_to(asset_transforms(scene), asset_transforms(before), numbers)
         self.moved_to = self._buffers.upload("motion.moved_to", wp.int32, np.array(moved, np.int32))
+        boxes = self._boxes_of_moved(scene, before) if self._scene else []
+        self._moved = len(boxes)
+        rows = boxes + [MovedBox()] * (MOVED_BOXES - len(boxes))
+        self.moved_boxes = self._buffers.table("motion.moved_boxes", MovedBox, rows)
         lights = lights_before(scene.lights, before.lights)
         if has_headlight:
             lights = [-1 if before.lights else 0]
@@ -138,6 +153,7 @@ class Motion:
         """Writes the number of the frame in its sequence, and the weight of cached lighting, for kernels."""
         row = SequenceData()
         row.frame, row.history_weight, row.before = number, self.history_weight, self.image_before
+        row.moved = self._moved
         assign_table(self.sequence, rows_of([row]))
 
     def forget(self) -> None:
@@ -153,6 +169,24 @@ class Motion:
         table = self._buffers.table(name, InstanceMotion, rows or [InstanceMotion()])
         table.keep_alive = rows
         return table
+
+    def _boxes_of_moved(self, scene: Scene, before: Scene) -> list[MovedBox]:
+        """Returns boxes around objects that have moved, appeared or left: where they were, and where they are."""
+        here = dict(zip(asset_transforms(scene), (*scene.splats, *scene.meshes), strict=True))
+        there = dict(zip(asset_transforms(before), (*before.splats, *before.meshes), strict=True))
+        changed = [one for key, one in (here | there).items() if (key in here) != (key in there)]
+        splats = [one for one in changed if isinstance(one, SplatInstance) and one.gaussians.count and is_relit(one)]
+        bounds = self._bounds.of([one.gaussians for one in splats])
+        boxes = [world_box(one, *box) for one, box in zip(splats, bounds, strict=True)]
+        boxes += [world_box(one, *one.mesh.bounds()) for one in changed if isinstance(one, MeshInstance)]
+        if last := boxes[MOVED_BOXES - 1 :]:
+            lows, highs = zip(*last, strict=True)
+            boxes[MOVED_BOXES - 1 :] = [(np.min(lows, axis=0), np.max(highs, axis=0))]
+        rows: list[MovedBox] = []
+        for low, high in boxes:
+            rows.append(row := MovedBox())
+            row.center, row.half = wp.vec3(*(0.5 * (low + high))), wp.vec3(*(0.5 * (high - low)))
+        return rows
 
     def _splat_rows(self, scene: Scene, before: Scene, numbers: list[int | None]) -> list[InstanceMotion]:
         rows: list[InstanceMotion] = []
@@ -385,6 +419,16 @@ def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> L
     shown = [(instance.sh_degree, instance.shadow_catcher) for instance in scene.splats]
     shown += [(-1, instance.shadow_catcher) for instance in scene.meshes]
     return LightState(sources, scene.lights, [lights, transforms], materials, [asset_transforms(scene), shown])
+
+
+def world_box(
+    instance: SplatInstance | MeshInstance, low: npt.ArrayLike, high: npt.ArrayLike
+) -> tuple[Doubles, Doubles]:
+    """Returns lower and upper corner of a box around an instance, given those of its asset in object space."""
+    low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    center = transform_points(instance.transform, 0.5 * (low + high))
+    half = np.abs(instance.transform[:3, :3]) @ (0.5 * (high - low))
+    return center - half, center + half
 
 
 def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
