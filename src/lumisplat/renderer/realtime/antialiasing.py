@@ -57,7 +57,9 @@ class Antialiasing:
         self.has_history = True
         motion = scene.motion
         inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
-        self._run(kernels.store_pixels, wave.count, *inputs, wave.data, pixels, shares)
+        self._run(
+            kernels.store_pixels, wave.count, *inputs, wave.data, layers["indirect_diffuse"], known[1], pixels, shares
+        )
         inputs = size, motion.sequence, motion.moved_to, *known, before, pixels, now
         self._run(kernels.weight_history, width * height, *inputs)
         images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
@@ -66,6 +68,7 @@ class Antialiasing:
         for name, image in images.items():
             means = [self._mean(name, *number) for number in sizes]
             parts = name in ("light", "direct_diffuse"), name in ("light", "direct_glossy")
+            parts = *parts, name in ("light", "indirect_diffuse")
             inputs = motion.sequence, scene.camera, pixels, *parts, *known, means[0], image, means[1]
             self._run(kernels.blend, wave.count, *inputs)
         self._run(kernels.store_shares, wave.count, scene.camera, shares, wave.data)

@@ -60,6 +60,9 @@ CHANGE = wp.constant(wp.float32(ANTIALIASING_CHANGE))
 FAR = wp.constant(wp.float32(FAR_AWAY))
 STILL = wp.constant(wp.float32(STILL_PX))
 
+DISSENT = wp.constant(1)
+"""Largest number of 3 x 3 pixels whose known light may change against the others where that of a pixel does."""
+
 Ranked = wp.types.vector(length=9, dtype=wp.float32)
 
 Taps = wp.types.vector(length=9, dtype=wp.int32)
@@ -75,6 +78,8 @@ def store_pixels(
     splat_motions: wp.array[InstanceMotion],
     mesh_motions: wp.array[InstanceMotion],
     wave: wp.array[WaveData],
+    indirect: wp.array[wp.vec3],
+    known_out: KnownLight,
     pixels_out: TemporalPixels,
     shares_out: wp.array[wp.vec3],
 ):
@@ -86,6 +91,7 @@ def store_pixels(
     pixel = pixel_number(i, camera)
     if pixel < 0:
         return
+    known_out.indirect[pixel] = indirect[i]
     share = wave[0].radiance.captured_weight[i]
     shares_out[i] = wp.vec3(share, wave[0].radiance.alpha[i], 0.0)
     captured = captured_color(wave[0].radiance.captured[i], share)
@@ -174,25 +180,33 @@ def change_of(pixel: int, before: KnownLight, now: KnownLight) -> wp.vec3:
     """Returns the change of a pixel's known light since the previous frame; 0 for pixel -1."""
     if pixel < 0:
         return wp.vec3(0.0)
-    return now.diffuse[pixel] + now.glossy[pixel] - before.diffuse[pixel] - before.glossy[pixel]
+    direct = now.diffuse[pixel] + now.glossy[pixel] - before.diffuse[pixel] - before.glossy[pixel]
+    return direct + now.indirect[pixel] - before.indirect[pixel]
 
 
 @wp.func
 def changed_alike(
     x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3], before: KnownLight, now: KnownLight
 ) -> int:
-    """Returns the pixel whose change of known light is the median of the 3 x 3 still pixels; -1: none stands still.
+    """Returns the pixel whose change of known light is the median of the 3 x 3 still pixels; -1: they do not agree.
 
-    The median leaves out edges, whose light changes because each frame samples another point of a pixel.
+    Each frame samples another point of a pixel. The median leaves out edges, whose light changes by that; on textures,
+    it changes here to brighter, there to darker, and says nothing.
     """
     ranked = Ranked()
     taps = Taps()
     count = int(0)
+    brighter = int(0)
+    darker = int(0)
     for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
         for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
             tap = row * size[0] + column
             if is_still(motions[tap]):
                 change = luminance(change_of(tap, before, now))
+                if change > 0.0:
+                    brighter += 1
+                elif change < 0.0:
+                    darker += 1
                 at = int(count)
                 while at > 0 and ranked[wp.max(at - 1, 0)] > change:
                     ranked[at] = ranked[at - 1]
@@ -201,7 +215,7 @@ def changed_alike(
                 ranked[at] = change
                 taps[at] = tap
                 count += 1
-    if count == 0:
+    if count == 0 or wp.min(brighter, darker) > DISSENT:
         return -1
     return taps[count // 2]
 
@@ -390,6 +404,7 @@ def blend(
     pixels: TemporalPixels,
     has_diffuse: bool,
     has_glossy: bool,
+    has_indirect: bool,
     known_before: KnownLight,
     known: KnownLight,
     before: wp.array[wp.vec3],
@@ -407,6 +422,7 @@ def blend(
         pixels: The pixels, after `weight_history`.
         has_diffuse: Whether the image includes diffuse known light.
         has_glossy: Whether the image includes glossy known light.
+        has_indirect: Whether the image includes indirect light.
         known_before: Known light of the previous frame.
         known: Known light of this frame.
         before: Mean image of the previous frame.
@@ -426,6 +442,8 @@ def blend(
             mean += known.diffuse[tap] - known_before.diffuse[tap]
         if tap >= 0 and has_glossy:
             mean += known.glossy[tap] - known_before.glossy[tap]
+        if tap >= 0 and has_indirect:
+            mean += known.indirect[tap] - known_before.indirect[tap]
         value = mean + weight * (value - mean)
     image_inout[i] = value
     after_out[pixel] = value
