@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
+import warp as wp
 
 import lumisplat as ls
+from lumisplat.device.gi.surfaces import KnownLight, TemporalPixels
+from lumisplat.renderer.realtime.antialiasing_kernels import blend
+from support.scenes.gi_surfaces import camera_rows, sequence_row
 from support.scenes.light_scenes import matte
 from support.scenes.raster_scenes import checker_quad, front_camera, one_gaussian, quad, random_gaussians, similarity
 
@@ -240,3 +244,36 @@ def test_lit_edges_are_as_smooth_and_as_bright_under_a_moving_lamp_as_under_a_st
             frames.append(smooth.render(replace(last, lights=[lamp, environment]), CAMERA))
         errors.append(error(frames[-1], truth(last)))
     assert errors[1] < 1.1 * errors[0]
+
+
+def test_textures_keep_their_antialiasing_while_something_moves_out_of_sight() -> None:
+    """Each frame shows other points of a texture as fine as pixels, whose light must not count as changed."""
+    texture = np.random.default_rng(3).integers(0, 256, (96, 96, 3), dtype=np.uint8)
+    material = replace(matte(1.0), base_color_texture=texture)
+    square = quad(4.0, 1.0, 0.3, material=material, uvs=[[0, 0], [1, 0], [1, 1], [0, 1]])
+    lamp, hidden = ls.LightPoint((0.0, 0.0, -1.0), intensity=20.0), emissive_square(0.1, 0.1, 0.1, half=0.1)
+    good, errors = truth(ls.Scene((), [square], [lamp])), []
+    for step in (0.0, 0.01):
+        smooth, frames = renderer(), []
+        for number in range(32):
+            behind = ls.MeshInstance(hidden, position=(step * number, 0.0, -9.0))
+            frames.append(smooth.render(ls.Scene((), [square, behind], [lamp]), CAMERA))
+        errors.append(error(frames[-1], good))
+    assert errors[1] < 2.0 * errors[0]
+
+
+@pytest.mark.parametrize(("history_weight", "expected"), [(1.0, 1.0 / 32.0), (0.7, 0.25)])
+def test_indirect_light_is_averaged_over_four_frames_while_light_changes(
+    history_weight: float, expected: float
+) -> None:
+    """A mean of 31 black frames takes a white one by 1/32 at rest, by 1/4 while something changes."""
+    camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), (0, -1, 0), width=4, height=4, fov_y=0.5)
+    pixels, none = TemporalPixels(), KnownLight()
+    pixels.weight = wp.full(16, 1.0 / 32.0, dtype=wp.float32, device="cpu")
+    pixels.changed = wp.full(16, -1, dtype=wp.int32, device="cpu")
+    places = np.array([(x, y) for y in range(4) for x in range(4)], np.float32)
+    pixels.previous_pixel = wp.array(places, dtype=wp.vec2, device="cpu")
+    image, before, after = (wp.full(256, wp.vec3(v), dtype=wp.vec3, device="cpu") for v in (1.0, 0.0, 0.0))
+    tables = sequence_row(1, history_weight, (camera, camera)), camera_rows(camera)
+    wp.launch(blend, 256, [0, *tables, pixels, False, False, True, none, none, before, image, after], device="cpu")
+    np.testing.assert_allclose(after.numpy()[:16], expected, rtol=1e-6)

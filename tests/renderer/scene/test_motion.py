@@ -254,30 +254,45 @@ def moved_boxes(sequence: Sequence) -> tuple[Doubles, Doubles]:
     return center - half, center + half
 
 
-def test_boxes_enclose_where_moved_objects_were_and_are_new_ones_and_removed_ones() -> None:
-    """A first frame and what stands still or shows captured colours have none; many share the last one."""
-    mesh, gaussians, relit = octahedron((0.1, 0.0, 0.0), 0.5), capture(), ls.MaterialPbr()
-    still, there = ls.MeshInstance(mesh, HERE), MOVES["all three"]
+def corners_of(*instances: ls.SplatInstance | ls.MeshInstance) -> tuple[Doubles, Doubles]:
+    """Returns the corners of a box around vertices and means."""
+    boxes = [instance.bounds() for instance in instances]
+    return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
+
+
+def test_boxes_enclose_where_moved_objects_were_and_are() -> None:
+    """What stands has no box, what moves a little or deforms one, and what moves far two."""
+    mesh, gaussians = octahedron((0.1, 0.0, 0.0), 0.5), capture()
+    still, near = ls.MeshInstance(mesh, HERE), similarity(offset=(0.02, 0.0, 0.0)) @ HERE
+    far = [similarity(offset=(x, 5.0, 0.0)) for x in (10.0, 20.0)]
+    before = ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, far[0])
     sequence = Sequence()
-    sequence.show(still, ls.SplatInstance(gaussians, HERE))
+    sequence.show(still, *before)
     assert len(moved_boxes(sequence)[0]) == 0
-    sequence.show(still, ls.MeshInstance(mesh, there), ls.SplatInstance(gaussians, there))
+    sequence.show(still, *(after := (ls.SplatInstance(gaussians, near), ls.MeshInstance(mesh, far[1]))))
     low, high = moved_boxes(sequence)
-    assert len(low) == 1
-    points = moved(there, np.asarray(mesh.positions, np.float64))
-    assert (low[0] <= points.min(axis=0) + 1e-6).all()
-    assert (high[0] >= points.max(axis=0) - 1e-6).all()
-    assert (high - low < 3.0 * np.ptp(points, axis=0)).all()
-    sequence.show(still, ls.SplatInstance(gaussians, HERE, material=relit))
-    sequence.show(still, ls.SplatInstance(gaussians, there, material=relit))
-    low, high = moved_boxes(sequence)
-    for row, transform in enumerate((there, HERE)):
-        means = moved(transform, gaussians.means.astype(np.float64))
-        reach = 3.0 * gaussians.scales.min() * np.cbrt(np.linalg.det(transform[:3, :3]))
-        assert (low[row] < means.min(axis=0) - reach).all()
-        assert (high[row] > means.max(axis=0) + reach).all()
-    many = [ls.MeshInstance(mesh, similarity(offset=(float(k), 0.0, 0.0))) for k in range(40)]
-    sequence.show(still, *many)
+    assert len(low) == 3
+    for row, (a, b) in enumerate([corners_of(before[0], after[0]), corners_of(after[1]), corners_of(before[1])]):
+        reach = 3.0 * gaussians.scales.max() if row == 0 else 0.0
+        assert (low[row] <= a + 1e-6).all()
+        assert (high[row] >= b - 1e-6).all()
+        assert (high[row] - low[row] < 2.0 * (b - a) + 2.0 * reach).all()
+    sequence.show(still, ls.SplatInstance(capture(), near), after[1])
+    assert len(moved_boxes(sequence)[0]) == 1
+    sequence.show(still)
+    assert len(moved_boxes(sequence)[0]) == 2
+
+
+def test_the_last_box_encloses_all_further_moved_objects() -> None:
+    """Of 40 objects in a row, 15 have boxes of their own."""
+    mesh = octahedron((0.0, 0.0, 0.0), 0.3)
+    sequence = Sequence()
+    sequence.show(ls.MeshInstance(mesh, HERE))
+    sequence.show(
+        ls.MeshInstance(mesh, HERE),
+        *(ls.MeshInstance(mesh, similarity(offset=(20.0 + k, 0.0, 0.0))) for k in range(40)),
+    )
     low, high = moved_boxes(sequence)
     assert len(low) == MOVED_BOXES
-    assert high[:, 0].max() > 39.0
+    np.testing.assert_allclose((low[-1, 0], high[-1, 0]), (34.7, 59.3), atol=1e-5)
+    np.testing.assert_allclose(high[:-1, 0] - low[:-1, 0], 0.6, atol=1e-5)

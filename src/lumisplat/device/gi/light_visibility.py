@@ -22,6 +22,7 @@ from lumisplat.device.light.direct_light import (
 )
 from lumisplat.device.light.light import LIGHT_DIRECTIONAL, LIGHT_HEADLIGHT, LIGHT_POINT, LIGHT_SPOT, sample_light
 from lumisplat.device.light.lobe_lights import Lobe, angular_radius, lobe_at, lobe_chance, lobe_importance
+from lumisplat.device.light.shadow_rays import reach_of
 from lumisplat.device.material.microfacets import transmits
 from lumisplat.device.math.color import is_black, luminance
 from lumisplat.device.math.random import branch_key, sobol_2d
@@ -132,24 +133,25 @@ def is_learnt(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[S
 def may_be_moved(
     number: int, position: wp.vec3, moved: int, boxes: wp.array[MovedBox], scene: wp.array[ShadingScene]
 ) -> bool:
-    """Returns whether light ``number`` may reach a point through one of the first ``moved`` boxes."""
+    """Returns whether light on its way from light ``number`` to a point may meet one of the first ``moved`` boxes."""
     center = sample_light(scene[0].lights[number], position, 0, wp.vec2(0.5))
     radius = angular_radius(number, position, scene)
+    reach = reach_of(number, center.distance, scene)
     for k in range(moved):
         to_box = boxes[k].center - position
         # A cone of light has this radius at the far end of the box.
         wide = radius * (wp.length(to_box) + wp.length(boxes[k].half))
         entry = float(0.0)
-        end = center.distance
+        end = float(reach)
         for axis in range(3):
-            reach = boxes[k].half[axis] + wide
+            half = boxes[k].half[axis] + wide
             along = center.direction[axis]
             if wp.abs(along) > 1.0e-6:
-                a = (to_box[axis] - reach) / along
-                b = (to_box[axis] + reach) / along
+                a = (to_box[axis] - half) / along
+                b = (to_box[axis] + half) / along
                 entry = wp.max(entry, wp.min(a, b))
                 end = wp.min(end, wp.max(a, b))
-            elif wp.abs(to_box[axis]) > reach:
+            elif wp.abs(to_box[axis]) > half:
                 end = -1.0
         if entry <= end:
             return True

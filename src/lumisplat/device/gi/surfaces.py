@@ -116,9 +116,10 @@ class SequenceData:
 
 @struct
 class MovedBox:
-    """World-space box around an object that has moved, appeared or left since the previous frame, where it was and is.
+    """World-space box around an object that has moved, appeared or left since the previous frame, where it was or is.
 
-    Light that passes by all boxes is blocked as in the previous frame.
+    Light that passes by all boxes is blocked as in the previous frame. Of large captures, the box encloses a sample of
+    the Gaussians, so that a few may stick out.
     """
 
     center: wp.vec3
@@ -247,14 +248,14 @@ class TemporalHistory:
 
 @struct
 class KnownLight:
-    """Light of each pixel that hardly changes by chance from frame to frame; in row order."""
+    """Light of each pixel that needs no samples, because the visibility of its lights is remembered; in row order."""
 
     diffuse: wp.array[wp.vec3]
-    """Diffuse light of lights whose visibility is remembered."""
     glossy: wp.array[wp.vec3]
-    """Highlights of lights whose visibility is remembered."""
-    indirect: wp.array[wp.vec3]
-    """Diffuse indirect light, filtered."""
+    albedo: wp.array[wp.vec3]
+    """Diffuse albedo of the surfaces, times the fraction of the pixel that they cover."""
+    glossy_albedo: wp.array[wp.vec3]
+    """Albedo of their highlights, times that fraction."""
 
 
 # --- Pixels sampled in each frame (``RealtimeConfig.light_interval``), and weights of young means ---

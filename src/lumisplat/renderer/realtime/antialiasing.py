@@ -57,20 +57,21 @@ class Antialiasing:
         self.has_history = True
         motion = scene.motion
         inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
-        self._run(
-            kernels.store_pixels, wave.count, *inputs, wave.data, layers["indirect_diffuse"], known[1], pixels, shares
-        )
+        self._run(kernels.store_pixels, wave.count, *inputs, wave.data, pixels, shares)
         inputs = size, motion.sequence, motion.moved_to, *known, before, pixels, now
         self._run(kernels.weight_history, width * height, *inputs)
+        indirect = layers["indirect_diffuse"]
         images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
-        images |= {name: image for name, image in layers.items() if name in plan.aovs}
+        images |= {name: image for name, image in layers.items() if name in plan.aovs or image is indirect}
         images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_catchers else {}
+        self._run(kernels.add_image, wave.count, -1.0, indirect, radiance.light)
         for name, image in images.items():
             means = [self._mean(name, *number) for number in sizes]
             parts = name in ("light", "direct_diffuse"), name in ("light", "direct_glossy")
-            parts = *parts, name in ("light", "indirect_diffuse")
+            parts = *parts, image is indirect
             inputs = motion.sequence, scene.camera, pixels, *parts, *known, means[0], image, means[1]
             self._run(kernels.blend, wave.count, *inputs)
+        self._run(kernels.add_image, wave.count, 1.0, indirect, radiance.light)
         self._run(kernels.store_shares, wave.count, scene.camera, shares, wave.data)
 
     def _run(self, kernel: Kernel, count: int, *inputs: object) -> None:

@@ -20,7 +20,7 @@ from lumisplat.device.gi.surfaces import (
     splat_before,
 )
 from lumisplat.device.light.splat_surface import straight_factor
-from lumisplat.device.math.color import captured_color, luminance
+from lumisplat.device.math.color import captured_color, is_black, luminance
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
@@ -60,8 +60,11 @@ CHANGE = wp.constant(wp.float32(ANTIALIASING_CHANGE))
 FAR = wp.constant(wp.float32(FAR_AWAY))
 STILL = wp.constant(wp.float32(STILL_PX))
 
+CHANGING = wp.constant(wp.float32(4.0))
+"""Largest number of frames in a mean of indirect light while lights or objects change: its change is not known."""
+
 DISSENT = wp.constant(1)
-"""Largest number of 3 x 3 pixels whose known light may change against the others where that of a pixel does."""
+"""Known light does not count as changed if more than this many of 3 x 3 pixels become brighter, and more darker."""
 
 Ranked = wp.types.vector(length=9, dtype=wp.float32)
 
@@ -78,8 +81,6 @@ def store_pixels(
     splat_motions: wp.array[InstanceMotion],
     mesh_motions: wp.array[InstanceMotion],
     wave: wp.array[WaveData],
-    indirect: wp.array[wp.vec3],
-    known_out: KnownLight,
     pixels_out: TemporalPixels,
     shares_out: wp.array[wp.vec3],
 ):
@@ -91,7 +92,6 @@ def store_pixels(
     pixel = pixel_number(i, camera)
     if pixel < 0:
         return
-    known_out.indirect[pixel] = indirect[i]
     share = wave[0].radiance.captured_weight[i]
     shares_out[i] = wp.vec3(share, wave[0].radiance.alpha[i], 0.0)
     captured = captured_color(wave[0].radiance.captured[i], share)
@@ -176,22 +176,54 @@ def nearest_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -
 
 
 @wp.func
-def change_of(pixel: int, before: KnownLight, now: KnownLight) -> wp.vec3:
-    """Returns the change of a pixel's known light since the previous frame; 0 for pixel -1."""
-    if pixel < 0:
+def is_lit(pixel: int, known: KnownLight) -> bool:
+    """Returns whether a pixel shows known light."""
+    return not is_black(known.diffuse[pixel] + known.glossy[pixel])
+
+
+@wp.func
+def over(light: wp.vec3, albedo: wp.vec3) -> wp.vec3:
+    """Returns light divided by albedo, by channel; 0 where the albedo is."""
+    ratio = wp.vec3(0.0)
+    for channel in range(3):
+        if albedo[channel] > 0.0:
+            ratio[channel] = light[channel] / albedo[channel]
+    return ratio
+
+
+@wp.func
+def irradiance_change(pixel: int, is_glossy: bool, before: KnownLight, now: KnownLight) -> wp.vec3:
+    """Returns the change since the previous frame of a pixel's known light over the albedo that reflects it.
+
+    Textures, of which each frame shows another point, have no part in it.
+    """
+    if is_glossy:
+        last = over(before.glossy[pixel], before.glossy_albedo[pixel])
+        return over(now.glossy[pixel], now.glossy_albedo[pixel]) - last
+    return over(now.diffuse[pixel], now.albedo[pixel]) - over(before.diffuse[pixel], before.albedo[pixel])
+
+
+@wp.func
+def change_of(pixel: int, like: int, is_glossy: bool, before: KnownLight, now: KnownLight) -> wp.vec3:
+    """Returns the change of a pixel's diffuse or glossy known light, if irradiance changes as at pixel ``like``.
+
+    ``like`` -1 means that known light does not change.
+    """
+    if like < 0:
         return wp.vec3(0.0)
-    direct = now.diffuse[pixel] + now.glossy[pixel] - before.diffuse[pixel] - before.glossy[pixel]
-    return direct + now.indirect[pixel] - before.indirect[pixel]
+    albedo = now.albedo[pixel]
+    if is_glossy:
+        albedo = now.glossy_albedo[pixel]
+    return wp.cw_mul(albedo, irradiance_change(like, is_glossy, before, now))
 
 
 @wp.func
 def changed_alike(
     x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3], before: KnownLight, now: KnownLight
 ) -> int:
-    """Returns the pixel whose change of known light is the median of the 3 x 3 still pixels; -1: they do not agree.
+    """Returns the pixel whose change of irradiance is the median of 3 x 3 still and lit pixels; -1: they do not agree.
 
-    Each frame samples another point of a pixel. The median leaves out edges, whose light changes by that; on textures,
-    it changes here to brighter, there to darker, and says nothing.
+    The normals of a capture differ from point to point, so that its light changes here to brighter, there to darker.
     """
     ranked = Ranked()
     taps = Taps()
@@ -201,8 +233,9 @@ def changed_alike(
     for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
         for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
             tap = row * size[0] + column
-            if is_still(motions[tap]):
-                change = luminance(change_of(tap, before, now))
+            if is_still(motions[tap]) and is_lit(tap, before) and is_lit(tap, now):
+                diffuse = irradiance_change(tap, False, before, now)
+                change = luminance(diffuse + irradiance_change(tap, True, before, now))
                 if change > 0.0:
                     brighter += 1
                 elif change < 0.0:
@@ -217,7 +250,10 @@ def changed_alike(
                 count += 1
     if count == 0 or wp.min(brighter, darker) > DISSENT:
         return -1
-    return taps[count // 2]
+    middle = count // 2
+    if wp.abs(ranked[(count - 1) // 2]) < wp.abs(ranked[middle]):
+        middle = (count - 1) // 2
+    return taps[middle]
 
 
 @wp.func
@@ -361,7 +397,8 @@ def weight_history(
                 frames *= sequence[0].history_weight
             elif stands and sequence[0].history_weight < 1.0:
                 changed = changed_alike(x, y, size, motions, known_before, known)
-                shift = change_of(changed, known_before, known)
+                shift = change_of(pixel, changed, False, known_before, known)
+                shift += change_of(pixel, changed, True, known_before, known)
                 frames *= unchanged_share(x, y, size, colors, motions, shift, history)
             if position[0] != float(near_x) or position[1] != float(near_y) or not has_same_size:
                 frames = wp.min(frames, MOVING)
@@ -404,7 +441,7 @@ def blend(
     pixels: TemporalPixels,
     has_diffuse: bool,
     has_glossy: bool,
-    has_indirect: bool,
+    is_indirect: bool,
     known_before: KnownLight,
     known: KnownLight,
     before: wp.array[wp.vec3],
@@ -422,7 +459,7 @@ def blend(
         pixels: The pixels, after `weight_history`.
         has_diffuse: Whether the image includes diffuse known light.
         has_glossy: Whether the image includes glossy known light.
-        has_indirect: Whether the image includes indirect light.
+        is_indirect: Whether the image is indirect light, of which few frames count while lights or objects change.
         known_before: Known light of the previous frame.
         known: Known light of this frame.
         before: Mean image of the previous frame.
@@ -435,18 +472,25 @@ def blend(
         return
     value = image_inout[i]
     weight = pixels.weight[pixel]
+    if is_indirect and sequence[0].history_weight < 1.0:
+        weight = wp.max(weight, 1.0 / CHANGING)
     if weight < 1.0:
         mean = image_at(before, sequence[0].before.size, pixels.previous_pixel[pixel])
-        tap = pixels.changed[pixel]
-        if tap >= 0 and has_diffuse:
-            mean += known.diffuse[tap] - known_before.diffuse[tap]
-        if tap >= 0 and has_glossy:
-            mean += known.glossy[tap] - known_before.glossy[tap]
-        if tap >= 0 and has_indirect:
-            mean += known.indirect[tap] - known_before.indirect[tap]
+        like = pixels.changed[pixel]
+        if has_diffuse:
+            mean += change_of(pixel, like, False, known_before, known)
+        if has_glossy:
+            mean += change_of(pixel, like, True, known_before, known)
         value = mean + weight * (value - mean)
     image_inout[i] = value
     after_out[pixel] = value
+
+
+@wp.kernel
+def add_image(start: int, factor: float, image: wp.array[wp.vec3], sum_inout: wp.array[wp.vec3]):
+    """Per ray: adds an image, times a factor, to another."""
+    i = start + wp.tid()
+    sum_inout[i] += factor * image[i]
 
 
 @wp.kernel

@@ -133,7 +133,7 @@ class LightVisibilities:
     ) -> None:
         """Adds the light whose visibility is remembered to camera rays, ``known``, and diffuse and glossy layers."""
         inputs = no_shadows, self._kind, scene.camera, scene.shading, wave.data, visibility
-        inputs = *inputs, surfaces.now.footprint, known, *layers
+        inputs = *inputs, surfaces.now, known, *layers
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernels.add_remembered_light, wave.count, *inputs, bands=bands)
 

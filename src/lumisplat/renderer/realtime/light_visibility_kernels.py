@@ -56,8 +56,9 @@ CHANGE_SIGMAS = wp.constant(wp.float32(2.0))
 MOVED_COUNT = wp.constant(wp.float32(1.0))
 """Largest number of samples in a visibility if the light, or an object between light and surface, may have moved."""
 
-MOVED_SIGMAS = wp.constant(wp.float32(0.5))
-"""Such a visibility is replaced if samples around the pixel differ by more standard deviations."""
+MOVED_WEIGHT = wp.constant(wp.float32(0.02))
+"""Weight of such a visibility relative to a sample of this frame. It depends on no sample: else chance, which exceeds
+a small visibility more often than it falls below it, would make dim penumbrae brighter."""
 
 ALIKE = wp.constant(wp.float32(0.3))
 """Only pixels whose visibilities differ by less take part in a test for changes: at the edge of a shadow, the jitter of
@@ -113,7 +114,7 @@ def reproject_visibility(
             mean = mean / total
             count = wp.round(count)
             has_moved = light_kept[light] == 0
-            if not has_moved and has_visibility(light, scene):
+            if not has_moved and has_visibility(light, scene) and casts_shadow(light, scene):
                 has_moved = may_be_moved(light, surfaces.position[pixel], sequence[0].moved, boxes, scene)
             if has_moved:
                 moved = moved | (1 << light)
@@ -236,7 +237,8 @@ def update_visibility(
                                 weight = 0.0
                             is_witness = (row + column - x - y) % 2 != 0
                         else:
-                            weight = falloff(float((row - y) * (row - y) + (column - x) * (column - x)))
+                            square = float((row - y) * (row - y) + (column - x) * (column - x))
+                            weight = falloff(wp.where(counts[pixel, light] > wp.uint8(0), square, 0.5 * square))
                         if not is_witness:
                             for channel in range(3):
                                 found[light, channel] = found[light, channel] + weight * passed[channel]
@@ -247,8 +249,9 @@ def update_visibility(
                     if is_new:
                         for number in range(lights):
                             if counts[tap, number] > wp.uint8(0):
-                                known[number] = known[number] + 1.0
-                                mean_of = unpack(packed[tap, number])
+                                share = wp.where((moved[tap] >> number) & 1 == 0, 1.0, MOVED_WEIGHT)
+                                known[number] = known[number] + share
+                                mean_of = share * unpack(packed[tap, number])
                                 for channel in range(3):
                                     held[number, channel] = held[number, channel] + mean_of[channel]
     own = of_light[pixel]
@@ -266,17 +269,14 @@ def update_visibility(
                 value = (value + sampled[number] * around) / (known[number] + sampled[number])
         elif has_moved:
             if sampled[number] > 0.0:
-                bright = luminance(value)
-                unsure = sample_variance(bright, count) * (1.0 / sampled[number] + 1.0 / count)
-                count *= share_within(wp.abs(luminance(around) - bright), MOVED_SIGMAS * wp.sqrt(unsure))
-                value += (sampled[number] / (count + sampled[number])) * (around - value)
+                value += (sampled[number] / (MOVED_WEIGHT + sampled[number])) * (around - value)
         else:
             by_chance = CHANGE_SIGMAS * wp.sqrt(variance[number])
             retained = share_within(wp.abs(difference[number]), by_chance)
             count *= retained
             value += (1.0 - retained) * (sampled[number] / (sampled[number] + 1.0)) * (around - value)
         if has_moved:
-            count = wp.min(count + sampled[number], wp.min(CERTAIN_FRAMES, frames_max))
+            count = wp.clamp(sampled[number], 1.0, wp.min(CERTAIN_FRAMES, frames_max))
         elif own == number:
             value += (of_visibility[pixel] - value) / (count + 1.0)
             count = wp.min(count + 1.0, frames_max)
@@ -386,14 +386,14 @@ def add_remembered_light(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     remembered: LightVisibility,
-    footprint: wp.array[float],
+    surfaces: SurfacePixels,
     known_inout: KnownLight,
     diffuse_inout: wp.array[wp.vec3],
     glossy_inout: wp.array[wp.vec3],
 ):
     """Per ray: adds the light of all lights whose visibility is remembered to radiance, known light and two layers.
 
-    Highlights are widened by the ``footprint`` of the pixel and by the extent of the light, unless they are sampled.
+    Highlights are widened by the footprint of the pixel and by the extent of the light, unless they are sampled.
     """
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
@@ -404,7 +404,7 @@ def add_remembered_light(
         return
     interaction = load_interaction(j, wave)
     lobe = lobe_at(interaction)
-    of_normals = relevant_footprint(footprint[pixel], interaction)
+    of_normals = relevant_footprint(surfaces.footprint[pixel], interaction)
     diffuse = wp.vec3(0.0)
     glossy = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
@@ -432,5 +432,7 @@ def add_remembered_light(
     wave[0].radiance.light[i] += diffuse + glossy
     known_inout.diffuse[pixel] += diffuse
     known_inout.glossy[pixel] += glossy
+    known_inout.albedo[pixel] += surfaces.share[pixel] * surfaces.albedo[pixel]
+    known_inout.glossy_albedo[pixel] += surfaces.share[pixel] * surfaces.glossy_albedo[pixel]
     diffuse_inout[i] += diffuse
     glossy_inout[i] += glossy

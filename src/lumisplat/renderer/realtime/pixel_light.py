@@ -112,7 +112,7 @@ class PixelLights:
             self._run(pixel_light_kernels.sample_lights, count, *inputs)
         visibility = self._visibility(scene, plan, rays)
         known = self.known(scene.image_size, parity)
-        for image in (known.diffuse, known.glossy):
+        for image in (known.diffuse, known.glossy, known.albedo, known.glossy_albedo):
             device_array(image).zero_()
         if self._remembers:
             with self._launcher.stage("visibility"):

@@ -21,7 +21,6 @@ from lumisplat.math.transforms import transform_points
 from lumisplat.renderer.scene.assets import as_device_array, first_of
 from lumisplat.renderer.scene.camera_table import camera_table
 from lumisplat.renderer.scene.captured_emitters import AssetCache, bounds_of
-from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, rows_of
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light
@@ -159,6 +158,7 @@ class Motion:
     def forget(self) -> None:
         """Forgets the previous frame: in the next frame, nothing has moved and nothing has a history."""
         self._scene = self._camera = self._positions = None
+        self._bounds.of([])
         self._changes.forget()
 
     def _table(self, name: str, rows: list[InstanceMotion]) -> DeviceArray:
@@ -175,15 +175,12 @@ class Motion:
         here = dict(zip(asset_transforms(scene), (*scene.splats, *scene.meshes), strict=True))
         there = dict(zip(asset_transforms(before), (*before.splats, *before.meshes), strict=True))
         changed = [one for key, one in (here | there).items() if (key in here) != (key in there)]
-        splats = [one for one in changed if isinstance(one, SplatInstance) and one.gaussians.count and is_relit(one)]
+        splats = [one for one in changed if isinstance(one, SplatInstance) and one.gaussians.count]
         bounds = self._bounds.of([one.gaussians for one in splats])
         boxes = [world_box(one, *box) for one, box in zip(splats, bounds, strict=True)]
         boxes += [world_box(one, *one.mesh.bounds()) for one in changed if isinstance(one, MeshInstance)]
-        if last := boxes[MOVED_BOXES - 1 :]:
-            lows, highs = zip(*last, strict=True)
-            boxes[MOVED_BOXES - 1 :] = [(np.min(lows, axis=0), np.max(highs, axis=0))]
         rows: list[MovedBox] = []
-        for low, high in boxes:
+        for low, high in merged(boxes):
             rows.append(row := MovedBox())
             row.center, row.half = wp.vec3(*(0.5 * (low + high))), wp.vec3(*(0.5 * (high - low)))
         return rows
@@ -429,6 +426,23 @@ def world_box(
     center = transform_points(instance.transform, 0.5 * (low + high))
     half = np.abs(instance.transform[:3, :3]) @ (0.5 * (high - low))
     return center - half, center + half
+
+
+def merged(boxes: list[tuple[Doubles, Doubles]]) -> list[tuple[Doubles, Doubles]]:
+    """Joins each box to an earlier one that contains its centre, as of an object that has moved a little.
+
+    Of more than `MOVED_BOXES`, the last encloses all further ones.
+    """
+    found: list[tuple[Doubles, Doubles]] = []
+    for low, high in boxes:
+        center = 0.5 * (low + high)
+        near = next((k for k, (a, b) in enumerate(found) if ((a <= center) & (center <= b)).all()), None)
+        if near is None and len(found) < MOVED_BOXES:
+            found.append((low, high))
+        else:
+            k = -1 if near is None else near
+            found[k] = np.minimum(found[k][0], low), np.maximum(found[k][1], high)
+    return found
 
 
 def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
