@@ -237,10 +237,9 @@ def biker(captures: Captures, width: int) -> Shot:
     return scene, camera((0.7, 2.2, 3.9), (0.15, 2.35, 0.0), 0.5, width, exposure=0.3)
 
 
-def studio(captures: Captures, width: int, angle: float = -55.0) -> Shot:
-    """Returns the biker in a dark studio: a warm light that may go round him, and a blue one behind."""
-    around = np.radians(angle)
-    key = ls.LightSphere((4.0 * np.sin(around), 4.2, 4.0 * np.cos(around)), 0.4, (1.0, 0.74, 0.5), 260.0, visible=False)
+def studio(captures: Captures, width: int) -> Shot:
+    """Returns the biker in a dark studio: a warm light before him, and a blue one behind."""
+    key = ls.LightSphere((-3.28, 4.2, 2.29), 0.4, (1.0, 0.74, 0.5), 260.0, visible=False)
     rim = ls.LightSphere((3.4, 3.6, -2.6), 0.5, (0.3, 0.5, 1.0), 80.0, visible=False)
     fill = ls.LightEnvironment(color=(0.35, 0.42, 0.55), intensity=0.05, visible=False)
     scene = ls.Scene([captures.biker(turned(100))], [backdrop((0.07, 0.07, 0.075), 9.0)], [key, rim, fill])
@@ -304,7 +303,6 @@ PICTURES: dict[str, Callable[[Captures, int], Shot]] = {
 }
 VIDEOS: dict[str, tuple[Callable[[Captures, int, float], Shot], list[float], int]] = {
     "hero": (sunset, list(np.linspace(32.0, -3.5, 16)), 10),
-    "light_round": (studio, list(np.linspace(-180.0, 180.0, 24, endpoint=False)), 10),
     "cow_walk": (cow, list(np.linspace(0.0, 1.0, 24)), 10),
     "flight": (flight, list(np.linspace(0.0, 1.0, 16)), 8),
 }
