@@ -87,7 +87,7 @@ def test_shadow_of_a_ball_that_jumps_follows_within_five_frames(splats: ls.Gauss
 
 @pytest.mark.parametrize("splats", [None, as_splats(BALL, 4_000).gaussians], ids=["mesh", "splats"])
 def test_shadow_of_a_moving_ball_stays_with_it(splats: ls.Gaussians | None) -> None:
-    """Light is 4 % off at most while the ball moves by a quarter of its radius a frame; by statistics alone, 7 %."""
+    """Light is 4 % off at most while the ball moves by a quarter of its radius a frame; by statistics, 7 to 8 %."""
     scenes = [with_ball(-0.5 + 0.06 * max(k - 23, 0), splats) for k in range(36)]
     truth = hard(scenes[-1], HIGH)
     assert np.abs(direct_light(scenes, HIGH)[-1] - truth).mean() < 0.04 * truth.mean()

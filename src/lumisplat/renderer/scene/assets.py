@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import warp as wp
@@ -21,7 +22,25 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
 Key = TypeVar("Key")
+Result = TypeVar("Result")
 TextureKey = tuple[int, tuple[int, ...]]
+
+
+class AssetCache(Generic[Result]):
+    """Caches a function's result for each asset; results that the latest call did not request are dropped."""
+
+    def __init__(self, find: Callable[[Any], Result]) -> None:
+        self._find = find
+        self._cached: list[tuple[object, Result]] = []
+
+    def of(self, assets: Sequence[Mesh | Gaussians]) -> list[Result]:
+        """Returns the function's result for each asset, computed only if not cached."""
+        cached = {id(asset): found for asset, found in self._cached}
+        for asset in assets:
+            if id(asset) not in cached:
+                cached[id(asset)] = self._find(asset)
+        self._cached = [(asset, cached[id(asset)]) for asset in assets]
+        return [found for _, found in self._cached]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +13,7 @@ from lumisplat.device.structs.scene import SplatInstanceData
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.transforms import matrices_from_quaternions
+from lumisplat.renderer.scene.assets import AssetCache
 from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.struct_tables import table_dtype
@@ -41,8 +41,6 @@ EMITTER_RECEIVERS = 1024
 """Largest number of triangles or Gaussians of a lit object that are sampled to decide whether a capture counts as a
 light or as surrounding scenery.
 """
-
-Result = TypeVar("Result")
 
 
 class Boxes(NamedTuple):
@@ -104,23 +102,6 @@ class CapturedEmitters:
             stretch = abs(float(np.linalg.det(linear))) ** (2.0 / 3.0)
             rows.append(np.column_stack([local[:, :3] @ linear.T + world_from_object[:3, 3], stretch * local[:, 3]]))
         return np.concatenate(rows)
-
-
-class AssetCache(Generic[Result]):
-    """Caches a function's result for each asset; results that the latest call did not request are dropped."""
-
-    def __init__(self, find: Callable[[Any], Result]) -> None:
-        self._find = find
-        self._cached: list[tuple[object, Result]] = []
-
-    def of(self, assets: Sequence[Mesh | Gaussians]) -> list[Result]:
-        """Returns the function's result for each asset, computed only if not cached."""
-        cached = {id(asset): found for asset, found in self._cached}
-        for asset in assets:
-            if id(asset) not in cached:
-                cached[id(asset)] = self._find(asset)
-        self._cached = [(asset, cached[id(asset)]) for asset in assets]
-        return [found for _, found in self._cached]
 
 
 def is_separate_emitter(instance: SplatInstance, bounds: Doubles, receivers: Doubles) -> bool:

@@ -18,9 +18,9 @@ from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion, MovedBox
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import transform_points
-from lumisplat.renderer.scene.assets import as_device_array, first_of
+from lumisplat.renderer.scene.assets import AssetCache, as_device_array, first_of
 from lumisplat.renderer.scene.camera_table import camera_table
-from lumisplat.renderer.scene.captured_emitters import AssetCache, bounds_of
+from lumisplat.renderer.scene.captured_emitters import bounds_of
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, rows_of
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light
