@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -16,11 +16,13 @@ from lumisplat.renderer.realtime.gbuffer_kernels import BORROWED_WEIGHT, SAME_PI
 from lumisplat.renderer.realtime.light_filter_kernels import (
     CHANGE_LEAST,
     CHANGE_SIGMAS,
+    GLOSSY_MEMORY,
     LOBE_FRAMES,
     MOMENT_FRAMES,
     YOUNG_FRAMES,
 )
 from lumisplat.renderer.scene.camera_table import CENTER
+from lumisplat.renderer.scene.motion import OUTDATED_HISTORY_WEIGHT
 from support.scenes.filter_sequence import LOBE_WIDTHS
 from support.scenes.gi_surfaces import Doubles, VisibleSurfaces
 
@@ -125,10 +127,23 @@ def reprojected(surfaces: VisibleSurfaces, before: VisibleSurfaces, history: Lig
     return Light(found.frames, scale[:, None, None] * found.light, scale[:, None, None] * found.moments)
 
 
+def own_variances(history: Light) -> Doubles:
+    """Returns the variance of each pixel's diffuse and glossy samples over frames, shape (pixels, 2)."""
+    return np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
+
+
+def frames_in_means(frames: Doubles, is_indirect: bool, history_weight: float) -> Doubles:
+    """Returns the number of frames in the means of diffuse and glossy light, (pixels, 2): fewer while light changes."""
+    most = np.full(2, np.inf)
+    if is_indirect and history_weight < 1.0:
+        most = np.array([1.0, GLOSSY_MEMORY]) / (1.0 - history_weight)
+    return np.minimum(frames[:, None], most)
+
+
 def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
     """Returns the fraction of history that each pixel retains, from the samples of 5 x 5 pixels; shape (pixels,)."""
     found, expected = luminance(samples), luminance(history.light)
-    variance = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
+    variance = own_variances(history)
     old = sampled & (history.frames >= YOUNG_FRAMES)
     sums = np.zeros((5, len(old), 2))
     for _, _, taps, inside in neighbours(surfaces, 2):
@@ -147,9 +162,12 @@ def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles,
     return np.where(old, np.where(is_change, ratio**4, 1.0).min(axis=1), 1.0)
 
 
-def shares_inside(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask) -> Doubles:
+def shares_inside(
+    surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, is_indirect: bool
+) -> Doubles:
     """Returns the retained fraction for moving scenes, (pixels,), from the range of the 5 x 5 surrounding samples."""
     found, held = luminance(samples), luminance(history.light)
+    noise = is_indirect * np.sqrt(own_variances(history) / np.maximum(history.frames, 1.0)[:, None])
     low, high = np.full_like(held, np.inf), np.zeros_like(held)
     for _, _, taps, inside in neighbours(surfaces, 2):
         counts = (
@@ -159,7 +177,7 @@ def shares_inside(surfaces: VisibleSurfaces, history: Light, samples: Doubles, s
         )
         low = np.where(counts[:, None], np.minimum(low, found[taps]), low)
         high = np.where(counts[:, None], np.maximum(high, found[taps]), high)
-    outside, tolerated = np.maximum(low - held, held - high), CHANGE_LEAST * held
+    outside, tolerated = np.maximum(low - held, held - high), np.maximum(CHANGE_LEAST * held, CHANGE_SIGMAS * noise)
     is_change = outside > tolerated
     return np.where(is_change, (tolerated / np.where(is_change, outside, 1.0)) ** 4, 1.0).min(axis=1)
 
@@ -171,19 +189,22 @@ def accumulated(
     sampled: Mask,
     frames_max: int,
     shared: int,
-    history_weight: float = 1.0,
+    is_indirect: bool,
+    history_weight: float,
 ) -> Light:
     """Adds the samples of one more frame to a history."""
     sampled = sampled & (surfaces.share > 0.0)
     samples = np.where(sampled[:, None, None], samples, 0.0)
+    if not is_indirect or history_weight <= OUTDATED_HISTORY_WEIGHT:
+        young = history.frames < YOUNG_FRAMES
+        history = replace(history, frames=np.where(young & sampled, history_weight, 1.0) * history.frames)
     retained = retained_shares(surfaces, history, samples, sampled, shared)
     if history_weight < 1.0:
-        retained = np.minimum(retained, shares_inside(surfaces, history, samples, sampled))
-        retained *= np.where(history.frames < YOUNG_FRAMES, history_weight, 1.0)
+        retained = np.minimum(retained, shares_inside(surfaces, history, samples, sampled, is_indirect))
     count = retained * history.frames + 1.0
     bright = luminance(samples)
     moments = np.stack([bright, bright * bright], axis=-1)
-    add = np.where(sampled, 1.0 / count, 0.0)[:, None, None]
+    add = np.where(sampled[:, None], 1.0 / frames_in_means(count, is_indirect, history_weight), 0.0)[:, :, None]
     add_moments = np.where(sampled, 1.0 / np.minimum(count, MOMENT_FRAMES), 0.0)[:, None, None]
     return Light(
         np.where(sampled, np.minimum(count, frames_max), history.frames),
@@ -192,10 +213,10 @@ def accumulated(
     )
 
 
-def variances(surfaces: VisibleSurfaces, history: Light) -> Doubles:
+def variances(surfaces: VisibleSurfaces, history: Light, is_indirect: bool, history_weight: float) -> Doubles:
     """Returns the variance of mean diffuse and mean glossy light at each pixel, (pixels, 2); 0 without history."""
     young = history.frames < YOUNG_FRAMES
-    each = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
+    each = own_variances(history)
     moments, variance, count = np.zeros_like(history.moments), np.zeros_like(each), np.zeros(len(each))
     for row, column, taps, inside in neighbours(surfaces, 3):
         counts = inside & (young | (max(abs(row), abs(column)) <= 1)) & (history.frames[taps] > 0.0)
@@ -207,7 +228,8 @@ def variances(surfaces: VisibleSurfaces, history: Light) -> Doubles:
     moments /= some[:, None, None]
     around = some[:, None] * np.maximum(moments[..., 1] - moments[..., 0] ** 2, 0.0)
     frames = np.where(history.frames > 0.0, history.frames, np.inf)
-    return np.where(young[:, None], around, variance) / (some * frames)[:, None]
+    counts = some[:, None] * frames_in_means(frames, is_indirect, history_weight)
+    return np.where(young[:, None], around, variance) / counts
 
 
 def falloff(x: Doubles | float) -> Doubles:
@@ -283,10 +305,14 @@ class Filter:
         passes: Number of spatial passes per frame.
         radius: Radius of each pass in steps.
         shared: Number of pixels that share a sample.
+        is_indirect: Whether the light is indirect.
     """
 
-    def __init__(self, frames: int = 32, passes: int = 4, radius: int = 1, shared: int = 1) -> None:
+    def __init__(
+        self, frames: int = 32, passes: int = 4, *, radius: int = 1, shared: int = 1, is_indirect: bool = False
+    ) -> None:
         self._frames, self._passes, self._radius, self._shared = frames, passes, radius, shared
+        self._is_indirect = is_indirect
         self._before: VisibleSurfaces | None = None
         self.history = empty(0)
 
@@ -298,9 +324,10 @@ class Filter:
         if self._before is not None:
             history = reprojected(surfaces, self._before, self.history)
         samples = np.stack([diffuse, glossy], axis=1)
-        self.history = accumulated(surfaces, history, samples, sampled, self._frames, self._shared, history_weight)
+        given = self._frames, self._shared, self._is_indirect, history_weight
+        self.history = accumulated(surfaces, history, samples, sampled, *given)
         self._before = surfaces
-        light, variance = self.history.light, variances(surfaces, self.history)
+        light, variance = self.history.light, variances(surfaces, self.history, self._is_indirect, history_weight)
         for number in range(self._passes):
             light, variance = smoothed(surfaces, self.history.frames, light, variance, self._radius, 2**number)
         return light

@@ -33,14 +33,25 @@ class FilterSequence:
         threads: CPU threads.
         parallel: Option of `Launcher`.
         shared: Number of pixels that share a sample.
+        is_indirect: Whether the light is indirect.
         **settings: Fields of `FilterConfig`.
     """
 
-    def __init__(self, threads: int = 1, parallel: bool = False, *, shared: int = 1, **settings: int) -> None:
+    def __init__(
+        self,
+        threads: int = 1,
+        parallel: bool = False,
+        *,
+        shared: int = 1,
+        is_indirect: bool = False,
+        **settings: int,
+    ) -> None:
         self._buffers = Buffers("cpu")
         launcher = Launcher("cpu", threads=threads, parallel=parallel)
         given = ls.config.FilterConfig(**settings)
-        self.filter = LightFilter(launcher, self._buffers, given, "light", shared=shared, lobe_widths=LOBE_WIDTHS)
+        self.filter = LightFilter(
+            launcher, self._buffers, given, "light", shared=shared, lobe_widths=LOBE_WIDTHS, is_indirect=is_indirect
+        )
         self.frame = 0
         self.history_weight = 1.0
         """Weight of history in the next frames, as in ``Motion``."""

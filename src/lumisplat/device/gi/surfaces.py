@@ -100,6 +100,10 @@ class PreviousImage:
     shift: wp.vec2
 
 
+OUTDATED = wp.constant(wp.float32(1.001e-4))
+"""A weight of cached lighting up to this one means that a light has appeared or disappeared."""
+
+
 @struct
 class SequenceData:
     """Number of a frame in its real-time sequence, and how far cached lighting is valid, in a 1-element array."""

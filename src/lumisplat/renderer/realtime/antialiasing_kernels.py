@@ -7,6 +7,7 @@ from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.film.samples import first_surface, is_finite
 from lumisplat.device.gi.filter_weights import share_within
 from lumisplat.device.gi.surfaces import (
+    OUTDATED,
     InstanceMotion,
     KnownLight,
     SequenceData,
@@ -54,8 +55,6 @@ FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
 MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))
 SIGMAS = wp.constant(wp.float32(ANTIALIASING_SIGMAS))
 LEAST = wp.constant(wp.float32(ANTIALIASING_LEAST))
-OUTDATED = wp.constant(wp.float32(1.001e-4))
-"""A weight of cached lighting up to this one means that a light has appeared or disappeared."""
 CHANGE = wp.constant(wp.float32(ANTIALIASING_CHANGE))
 FAR = wp.constant(wp.float32(FAR_AWAY))
 STILL = wp.constant(wp.float32(STILL_PX))

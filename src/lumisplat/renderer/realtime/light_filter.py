@@ -24,6 +24,7 @@ class LightFilter:
         name: Name of the buffers that hold the means over earlier frames.
         shared: Number of pixels that share each light sample, and therefore its noise.
         lobe_widths: Width of the averages of glossy light, in widths of the highlight.
+        is_indirect: Whether the light is indirect: while light changes, its means cover few frames.
     """
 
     def __init__(
@@ -35,9 +36,10 @@ class LightFilter:
         *,
         shared: int,
         lobe_widths: float,
+        is_indirect: bool,
     ) -> None:
         self._launcher, self._buffers, self._config, self._name = launcher, buffers, config, name
-        self._shared, self._lobe_widths = float(shared), lobe_widths
+        self._shared, self._lobe_widths, self._is_indirect = float(shared), lobe_widths, is_indirect
         self.has_history = False
         """True if an earlier frame of the sequence has light."""
 
@@ -70,7 +72,7 @@ class LightFilter:
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
         sequence = scene.motion.sequence
         self._run(scene, kernels.reproject, surfaces.now, surfaces.reprojection, sequence, before, found)
-        inputs = float(self._config.frames), self._shared, sequence
+        inputs = float(self._config.frames), self._shared, self._is_indirect, sequence
         self._run(scene, kernels.accumulate, *inputs, surfaces.now, scene.camera, light, found, now)
         return now
 
@@ -79,7 +81,8 @@ class LightFilter:
         light = FilteredLight()
         light.diffuse, light.glossy = history.diffuse, history.glossy
         light.deviation = self._buffers.get("filter.deviation", wp.vec2, len(history.frames))
-        self._run(scene, kernels.estimate_deviation, surfaces.now, scene.camera, history, light.deviation)
+        inputs = surfaces.now, scene.camera, self._is_indirect, scene.motion.sequence, history
+        self._run(scene, kernels.estimate_deviation, *inputs, light.deviation)
         for number in range(self._config.passes):
             is_last = number == self._config.passes - 1
             name = f"{self._name}.filtered" if is_last else f"filter.pass{number % 2}"

@@ -15,6 +15,7 @@ from lumisplat.device.gi.filter_weights import (
     step_weight,
 )
 from lumisplat.device.gi.surfaces import (
+    OUTDATED,
     FilteredLight,
     LightHistory,
     Reprojection,
@@ -48,17 +49,21 @@ MOMENT_FRAMES = 8
 weight 1/8 each, so that old frames fade."""
 
 YOUNG_FRAMES = 3.5
-"""Number of frames below which a pixel's variance is estimated from neighbouring pixels. SVGF uses 4; numbers of
-frames are whole up to rounding, so 3.5 is safe."""
+"""Number of frames below which a pixel's variance is estimated from neighbouring pixels, and changes of its light are
+not detected. SVGF uses 4; numbers of frames are whole up to rounding, so 3.5 is safe."""
 
 LOBE_FRAMES = 8.0
 """Number of frames below which glossy light is averaged over wider highlights, in inverse proportion."""
+
+GLOSSY_MEMORY = 2.0
+"""While light changes, means of indirect glossy light cover this many times the frames of those of diffuse light."""
 
 CHANGED_SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
 CHANGED_LEAST = wp.constant(wp.float32(CHANGE_LEAST))
 YOUNG = wp.constant(wp.float32(YOUNG_FRAMES))
 MOMENTS = wp.constant(wp.float32(MOMENT_FRAMES))
 LOBES = wp.constant(wp.float32(LOBE_FRAMES))
+GLOSSY = wp.constant(wp.float32(GLOSSY_MEMORY))
 
 
 @struct
@@ -122,13 +127,37 @@ def store_history(pixel: int, pixel_history: PixelHistory, history: LightHistory
 
 
 @wp.func
-def with_sample(history: PixelHistory, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float) -> PixelHistory:
-    """Returns a history with one more frame's diffuse and glossy light; beyond ``frames_max``, old frames fade."""
+def frames_in_means(frames: float, is_indirect: bool, history_weight: float) -> wp.vec2:
+    """Returns the number of frames in the means of diffuse and glossy light: ``frames``, or fewer while light changes.
+
+    Means of indirect diffuse light then cover no more frames than those of probes and cells, 1 / (1 - w) with the
+    weight w of cached lighting; those of indirect glossy light, whose rays are noisier, cover twice as many.
+    """
+    if not is_indirect or history_weight >= 1.0:
+        return wp.vec2(frames)
+    most = 1.0 / (1.0 - history_weight)
+    return wp.vec2(wp.min(frames, most), wp.min(frames, GLOSSY * most))
+
+
+@wp.func
+def with_sample(
+    history: PixelHistory,
+    diffuse: wp.vec3,
+    glossy: wp.vec3,
+    frames_max: float,
+    is_indirect: bool,
+    history_weight: float,
+) -> PixelHistory:
+    """Returns a history with one more frame's diffuse and glossy light.
+
+    Beyond ``frames_max``, and while light changes beyond ``frames_in_means``, old frames fade.
+    """
     count = history.frames + 1.0
+    counts = frames_in_means(count, is_indirect, history_weight)
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
     moments = wp.vec4(bright[0], bright[0] * bright[0], bright[1], bright[1] * bright[1])
-    history.diffuse += (diffuse - history.diffuse) / count
-    history.glossy += (glossy - history.glossy) / count
+    history.diffuse += (diffuse - history.diffuse) / counts[0]
+    history.glossy += (glossy - history.glossy) / counts[1]
     history.moments += (moments - history.moments) / wp.min(count, MOMENTS)
     history.frames = wp.min(count, frames_max)
     return history
@@ -203,14 +232,23 @@ def retained_share(change: LightChange, shared: float) -> float:
 
 
 @wp.func
-def share_inside(change: LightChange, held: float) -> float:
-    """Returns the factor on the length of a pixel's history after objects moved.
+def variance_of(moments: wp.vec4) -> wp.vec2:
+    """Returns the variances of the diffuse and the glossy luminance from their first and second moments."""
+    diffuse = moments[1] - moments[0] * moments[0]
+    glossy = moments[3] - moments[2] * moments[2]
+    return wp.vec2(wp.max(diffuse, 0.0), wp.max(glossy, 0.0))
 
-    ``held`` is the luminance of the history. The factor is 1 if ``held`` lies within the range of the 5 x 5 samples, or
-    outside by at most a tolerance, `CHANGE_LEAST` times ``held``. Farther outside, it is (tolerance / distance)^4.
+
+@wp.func
+def share_inside(change: LightChange, held: float, deviation: float) -> float:
+    """Returns the factor on the length of a pixel's history after lights or objects moved.
+
+    ``held`` is the luminance of the history, with the standard deviation ``deviation``. The factor is 1 if ``held``
+    lies within the range of the 5 x 5 samples, or outside by at most a tolerance: `CHANGE_LEAST` times ``held``, or
+    `CHANGE_SIGMAS` times ``deviation`` if that is more. Farther outside, it is (tolerance / distance)^4.
     """
     outside = wp.max(change.lowest - held, held - change.highest)
-    return share_within(outside, CHANGED_LEAST * held)
+    return share_within(outside, wp.max(CHANGED_LEAST * held, CHANGED_SIGMAS * deviation))
 
 
 @wp.func
@@ -227,6 +265,7 @@ def accumulate(
     size: wp.vec2i,
     frames_max: float,
     shared: float,
+    is_indirect: bool,
     sequence: wp.array[SequenceData],
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
@@ -237,14 +276,16 @@ def accumulate(
     """Per pixel: adds the sample to its history. The more the light has changed, the fewer frames the history counts.
 
     The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). A history of few frames is
-    shortened only when objects move, and only if its luminance is outside the range of the samples around.
+    shortened only while lights or objects change: of direct light always, of indirect light if a light appears or
+    disappears, and of both if its luminance is outside the range of the samples around.
 
     Args:
         start: Offset added to the thread index.
         size: Width and height of the images.
         frames_max: Largest number of frames for which a history counts; older samples then fade.
         shared: Number of pixels that share each sample, and therefore its noise.
-        sequence: The frame, whose weight of cached lighting multiplies the number of frames of a short history.
+        is_indirect: Whether the light is indirect, with rare bright samples of highlight rays.
+        sequence: The frame, with the weight of cached lighting.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         light: Samples of the frame.
@@ -256,7 +297,7 @@ def accumulate(
     pixel_history = with_tap(PixelHistory(), 1.0, pixel, history)
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
         is_young = pixel_history.frames < YOUNG
-        if is_young:
+        if is_young and (not is_indirect or history_weight <= OUTDATED):
             pixel_history.frames *= history_weight
         if pixel_history.frames > 0.0 and (history_weight < 1.0 or not is_young):
             x = pixel % size[0]
@@ -294,19 +335,18 @@ def accumulate(
                             glossy = with_pixel(glossy, is_old, found, held, moments[2], moments[3])
             retained = wp.min(retained_share(diffuse, shared), retained_share(glossy, shared))
             if history_weight < 1.0:
-                retained = wp.min(retained, share_inside(diffuse, luminance(pixel_history.diffuse)))
-                retained = wp.min(retained, share_inside(glossy, luminance(pixel_history.glossy)))
+                noise = wp.vec2(0.0)
+                if is_indirect:  # the mean of rare bright samples is brighter than all samples of most frames
+                    noise = variance_of(pixel_history.moments) / wp.max(pixel_history.frames, 1.0)
+                held = luminance(pixel_history.diffuse)
+                retained = wp.min(retained, share_inside(diffuse, held, wp.sqrt(noise[0])))
+                held = luminance(pixel_history.glossy)
+                retained = wp.min(retained, share_inside(glossy, held, wp.sqrt(noise[1])))
             pixel_history.frames *= retained
-        pixel_history = with_sample(pixel_history, light.diffuse[pixel], light.glossy[pixel], frames_max)
+        pixel_history = with_sample(
+            pixel_history, light.diffuse[pixel], light.glossy[pixel], frames_max, is_indirect, history_weight
+        )
     store_history(pixel, pixel_history, history_out)
-
-
-@wp.func
-def variance_of(moments: wp.vec4) -> wp.vec2:
-    """Returns the variances of the diffuse and the glossy luminance from their first and second moments."""
-    diffuse = moments[1] - moments[0] * moments[0]
-    glossy = moments[3] - moments[2] * moments[2]
-    return wp.vec2(wp.max(diffuse, 0.0), wp.max(glossy, 0.0))
 
 
 @wp.kernel
@@ -315,10 +355,12 @@ def estimate_deviation(
     size: wp.vec2i,
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
+    is_indirect: bool,
+    sequence: wp.array[SequenceData],
     history: LightHistory,
     deviation_out: wp.array[wp.vec2],
 ):
-    """Per pixel: estimates the standard deviation of the pixel's mean over frames.
+    """Per pixel: estimates the standard deviation of the pixel's mean over frames; arguments as for `accumulate`.
 
     For many frames, the temporal variances of the 3 x 3 pixels are averaged, because one pixel may have missed rare
     samples. For few frames, the variance over pixels and frames of 7 x 7 pixels is used.
@@ -357,8 +399,8 @@ def estimate_deviation(
                     count += 1.0
     if is_young:
         variance = count * variance_of(moments / count)
-    variance /= count * frames
-    deviation_out[pixel] = wp.vec2(wp.sqrt(variance[0]), wp.sqrt(variance[1]))
+    counts = count * frames_in_means(frames, is_indirect, sequence[0].history_weight)
+    deviation_out[pixel] = wp.vec2(wp.sqrt(variance[0] / counts[0]), wp.sqrt(variance[1] / counts[1]))
 
 
 @wp.func

@@ -88,7 +88,15 @@ class RealtimeIntegrator:
             "indirect": (of_indirect, INDIRECT_SHARED, INDIRECT_LOBE_WIDTHS),
         }
         self._filters = {
-            (name, kind): LightFilter(launcher, buffers, given, f"{name}{kind}", shared=shared, lobe_widths=width)
+            (name, kind): LightFilter(
+                launcher,
+                buffers,
+                given,
+                f"{name}{kind}",
+                shared=shared,
+                lobe_widths=width,
+                is_indirect=name == "indirect",
+            )
             for name, (given, shared, width) in lights.items()
             for kind in (SPLATS, MESHES)
         }
