@@ -132,12 +132,22 @@ def own_variances(history: Light) -> Doubles:
     return np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
 
 
-def frames_in_means(frames: Doubles, is_indirect: bool, history_weight: float) -> Doubles:
-    """Returns the number of frames in the means of diffuse and glossy light, (pixels, 2): fewer while light changes."""
-    most = np.full(2, np.inf)
-    if is_indirect and history_weight < 1.0:
-        most = np.array([1.0, GLOSSY_MEMORY]) / (1.0 - history_weight)
-    return np.minimum(frames[:, None], most)
+def cached_frames(is_indirect: bool, history_weight: float) -> float:
+    """Returns the number of frames that cached lighting covers while light changes; inf for direct light."""
+    changes = is_indirect and OUTDATED_HISTORY_WEIGHT < history_weight < 1.0
+    return 1.0 / (1.0 - history_weight) if changes else np.inf
+
+
+def frames_in_means(frames: Doubles, cached: float) -> Doubles:
+    """Returns the number of frames in the means of diffuse and glossy light, (pixels, 2)."""
+    return np.minimum(frames[:, None], cached * np.array([1.0, GLOSSY_MEMORY]))
+
+
+def deviations(history: Light, cached: float) -> Doubles:
+    """Returns the standard deviations of a pixel's mean diffuse and glossy luminance, (pixels, 2)."""
+    some = history.frames >= 1.5
+    counts = frames_in_means(np.where(some, history.frames - 1.0, 1.0), cached)
+    return np.where(some[:, None], np.sqrt(own_variances(history) / counts), np.inf)
 
 
 def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
@@ -162,12 +172,10 @@ def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles,
     return np.where(old, np.where(is_change, ratio**4, 1.0).min(axis=1), 1.0)
 
 
-def shares_inside(
-    surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, is_indirect: bool
-) -> Doubles:
+def shares_inside(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, cached: float) -> Doubles:
     """Returns the retained fraction for moving scenes, (pixels,), from the range of the 5 x 5 surrounding samples."""
     found, held = luminance(samples), luminance(history.light)
-    noise = is_indirect * np.sqrt(own_variances(history) / np.maximum(history.frames, 1.0)[:, None])
+    noise = deviations(history, cached) if np.isfinite(cached) else np.zeros_like(held)
     low, high = np.full_like(held, np.inf), np.zeros_like(held)
     for _, _, taps, inside in neighbours(surfaces, 2):
         counts = (
@@ -193,6 +201,7 @@ def accumulated(
     history_weight: float,
 ) -> Light:
     """Adds the samples of one more frame to a history."""
+    cached = cached_frames(is_indirect, history_weight)
     sampled = sampled & (surfaces.share > 0.0)
     samples = np.where(sampled[:, None, None], samples, 0.0)
     if not is_indirect or history_weight <= OUTDATED_HISTORY_WEIGHT:
@@ -200,11 +209,11 @@ def accumulated(
         history = replace(history, frames=np.where(young & sampled, history_weight, 1.0) * history.frames)
     retained = retained_shares(surfaces, history, samples, sampled, shared)
     if history_weight < 1.0:
-        retained = np.minimum(retained, shares_inside(surfaces, history, samples, sampled, is_indirect))
+        retained = np.minimum(retained, shares_inside(surfaces, history, samples, sampled, cached))
     count = retained * history.frames + 1.0
     bright = luminance(samples)
     moments = np.stack([bright, bright * bright], axis=-1)
-    add = np.where(sampled[:, None], 1.0 / frames_in_means(count, is_indirect, history_weight), 0.0)[:, :, None]
+    add = np.where(sampled[:, None], 1.0 / frames_in_means(count, cached), 0.0)[:, :, None]
     add_moments = np.where(sampled, 1.0 / np.minimum(count, MOMENT_FRAMES), 0.0)[:, None, None]
     return Light(
         np.where(sampled, np.minimum(count, frames_max), history.frames),
@@ -213,7 +222,7 @@ def accumulated(
     )
 
 
-def variances(surfaces: VisibleSurfaces, history: Light, is_indirect: bool, history_weight: float) -> Doubles:
+def variances(surfaces: VisibleSurfaces, history: Light, cached: float) -> Doubles:
     """Returns the variance of mean diffuse and mean glossy light at each pixel, (pixels, 2); 0 without history."""
     young = history.frames < YOUNG_FRAMES
     each = own_variances(history)
@@ -227,9 +236,9 @@ def variances(surfaces: VisibleSurfaces, history: Light, is_indirect: bool, hist
     some = np.maximum(count, 1.0)
     moments /= some[:, None, None]
     around = some[:, None] * np.maximum(moments[..., 1] - moments[..., 0] ** 2, 0.0)
-    frames = np.where(history.frames > 0.0, history.frames, np.inf)
-    counts = some[:, None] * frames_in_means(frames, is_indirect, history_weight)
-    return np.where(young[:, None], around, variance) / counts
+    some_frames = np.where(history.frames > 0.0, history.frames, 1.0)
+    variance = np.where(young[:, None], around, variance) / (some[:, None] * frames_in_means(some_frames, cached))
+    return np.where(history.frames[:, None] > 0.0, variance, 0.0)
 
 
 def falloff(x: Doubles | float) -> Doubles:
@@ -327,7 +336,8 @@ class Filter:
         given = self._frames, self._shared, self._is_indirect, history_weight
         self.history = accumulated(surfaces, history, samples, sampled, *given)
         self._before = surfaces
-        light, variance = self.history.light, variances(surfaces, self.history, self._is_indirect, history_weight)
+        cached = cached_frames(self._is_indirect, history_weight)
+        light, variance = self.history.light, variances(surfaces, self.history, cached)
         for number in range(self._passes):
             light, variance = smoothed(surfaces, self.history.frames, light, variance, self._radius, 2**number)
         return light

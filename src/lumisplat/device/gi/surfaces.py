@@ -100,8 +100,11 @@ class PreviousImage:
     shift: wp.vec2
 
 
-OUTDATED = wp.constant(wp.float32(1.001e-4))
-"""A weight of cached lighting up to this one means that a light has appeared or disappeared."""
+OUTDATED_HISTORY_WEIGHT = 1e-4
+"""Factor on the weight of cached lighting in a frame in which a light appears or disappears. New samples then replace
+the cached lighting at once. Where there are no new samples yet, the cached lighting is still shown."""
+
+OUTDATED = wp.constant(wp.float32(1.001 * OUTDATED_HISTORY_WEIGHT))
 
 
 @struct
@@ -195,7 +198,7 @@ class LightHistory:
     """
 
     frames: wp.array[float]
-    """Number of frames in the pixel's means; 0: the pixel has no history."""
+    """Number of frames of the history; 0: none. While light changes, means of indirect light cover fewer of them."""
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]
     moments: wp.array[wp.vec4]

@@ -50,13 +50,13 @@ weight 1/8 each, so that old frames fade."""
 
 YOUNG_FRAMES = 3.5
 """Number of frames below which a pixel's variance is estimated from neighbouring pixels, and changes of its light are
-not detected. SVGF uses 4; numbers of frames are whole up to rounding, so 3.5 is safe."""
+not detected. SVGF uses 4; 3.5 is safe from rounding."""
 
 LOBE_FRAMES = 8.0
 """Number of frames below which glossy light is averaged over wider highlights, in inverse proportion."""
 
 GLOSSY_MEMORY = 2.0
-"""While light changes, means of indirect glossy light cover this many times the frames of those of diffuse light."""
+"""While light changes, means of indirect glossy light cover at most this many times the frames of cached lighting."""
 
 CHANGED_SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
 CHANGED_LEAST = wp.constant(wp.float32(CHANGE_LEAST))
@@ -127,33 +127,36 @@ def store_history(pixel: int, pixel_history: PixelHistory, history: LightHistory
 
 
 @wp.func
-def frames_in_means(frames: float, is_indirect: bool, history_weight: float) -> wp.vec2:
-    """Returns the number of frames in the means of diffuse and glossy light: ``frames``, or fewer while light changes.
+def cached_frames(is_indirect: bool, history_weight: float) -> float:
+    """Returns the number of frames that cached lighting covers while light changes; inf for direct light.
 
-    Means of indirect diffuse light then cover no more frames than those of probes and cells, 1 / (1 - w) with the
-    weight w of cached lighting; those of indirect glossy light, whose rays are noisier, cover twice as many.
+    A mean that each frame multiplies by the weight w, and to which it adds a sample, covers 1 / (1 - w) frames. In the
+    frame in which a light appears, pixels detect its light themselves.
     """
-    if not is_indirect or history_weight >= 1.0:
-        return wp.vec2(frames)
-    most = 1.0 / (1.0 - history_weight)
-    return wp.vec2(wp.min(frames, most), wp.min(frames, GLOSSY * most))
+    if not is_indirect or history_weight >= 1.0 or history_weight <= OUTDATED:
+        return wp.inf
+    return 1.0 / (1.0 - history_weight)
+
+
+@wp.func
+def frames_in_means(frames: float, cached: float) -> wp.vec2:
+    """Returns the number of frames in the means of diffuse and glossy light of a history of ``frames`` frames.
+
+    While light changes, they are at most the ``cached`` frames of `cached_frames`, and `GLOSSY_MEMORY` times as many.
+    """
+    return wp.vec2(wp.min(frames, cached), wp.min(frames, GLOSSY * cached))
 
 
 @wp.func
 def with_sample(
-    history: PixelHistory,
-    diffuse: wp.vec3,
-    glossy: wp.vec3,
-    frames_max: float,
-    is_indirect: bool,
-    history_weight: float,
+    history: PixelHistory, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float, cached: float
 ) -> PixelHistory:
-    """Returns a history with one more frame's diffuse and glossy light.
+    """Returns a history with one more frame's diffuse and glossy light; ``cached`` is that of `cached_frames`.
 
-    Beyond ``frames_max``, and while light changes beyond ``frames_in_means``, old frames fade.
+    Beyond ``frames_max``, and beyond `frames_in_means`, old frames fade.
     """
     count = history.frames + 1.0
-    counts = frames_in_means(count, is_indirect, history_weight)
+    counts = frames_in_means(count, cached)
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
     moments = wp.vec4(bright[0], bright[0] * bright[0], bright[1], bright[1] * bright[1])
     history.diffuse += (diffuse - history.diffuse) / counts[0]
@@ -240,6 +243,19 @@ def variance_of(moments: wp.vec4) -> wp.vec2:
 
 
 @wp.func
+def deviation_of(history: PixelHistory, cached: float) -> wp.vec2:
+    """Returns the standard deviations of a pixel's mean diffuse and glossy luminance; inf for fewer than 1.5 frames.
+
+    They follow from the variance of samples, which a single frame does not show.
+    """
+    if history.frames < 1.5:
+        return wp.vec2(wp.inf)
+    counts = frames_in_means(history.frames - 1.0, cached)
+    variance = variance_of(history.moments)
+    return wp.vec2(wp.sqrt(variance[0] / counts[0]), wp.sqrt(variance[1] / counts[1]))
+
+
+@wp.func
 def share_inside(change: LightChange, held: float, deviation: float) -> float:
     """Returns the factor on the length of a pixel's history after lights or objects moved.
 
@@ -275,9 +291,9 @@ def accumulate(
 ):
     """Per pixel: adds the sample to its history. The more the light has changed, the fewer frames the history counts.
 
-    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). A history of few frames is
-    shortened only while lights or objects change: of direct light always, of indirect light if a light appears or
-    disappears, and of both if its luminance is outside the range of the samples around.
+    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). While lights or objects
+    change, histories are also shortened if their luminance lies outside the range of the samples around, and short ones
+    of direct light always; short ones of indirect light only if a light appears or disappears.
 
     Args:
         start: Offset added to the thread index.
@@ -294,6 +310,7 @@ def accumulate(
     """
     pixel = start + wp.tid()
     history_weight = sequence[0].history_weight
+    cached = cached_frames(is_indirect, history_weight)
     pixel_history = with_tap(PixelHistory(), 1.0, pixel, history)
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
         is_young = pixel_history.frames < YOUNG
@@ -335,17 +352,15 @@ def accumulate(
                             glossy = with_pixel(glossy, is_old, found, held, moments[2], moments[3])
             retained = wp.min(retained_share(diffuse, shared), retained_share(glossy, shared))
             if history_weight < 1.0:
-                noise = wp.vec2(0.0)
-                if is_indirect:  # the mean of rare bright samples is brighter than all samples of most frames
-                    noise = variance_of(pixel_history.moments) / wp.max(pixel_history.frames, 1.0)
+                deviation = wp.vec2(0.0)
+                if cached < wp.inf:  # the mean of rare bright samples is brighter than all samples of most frames
+                    deviation = deviation_of(pixel_history, cached)
                 held = luminance(pixel_history.diffuse)
-                retained = wp.min(retained, share_inside(diffuse, held, wp.sqrt(noise[0])))
+                retained = wp.min(retained, share_inside(diffuse, held, deviation[0]))
                 held = luminance(pixel_history.glossy)
-                retained = wp.min(retained, share_inside(glossy, held, wp.sqrt(noise[1])))
+                retained = wp.min(retained, share_inside(glossy, held, deviation[1]))
             pixel_history.frames *= retained
-        pixel_history = with_sample(
-            pixel_history, light.diffuse[pixel], light.glossy[pixel], frames_max, is_indirect, history_weight
-        )
+        pixel_history = with_sample(pixel_history, light.diffuse[pixel], light.glossy[pixel], frames_max, cached)
     store_history(pixel, pixel_history, history_out)
 
 
@@ -399,7 +414,8 @@ def estimate_deviation(
                     count += 1.0
     if is_young:
         variance = count * variance_of(moments / count)
-    counts = count * frames_in_means(frames, is_indirect, sequence[0].history_weight)
+    variance /= count
+    counts = frames_in_means(frames, cached_frames(is_indirect, sequence[0].history_weight))
     deviation_out[pixel] = wp.vec2(wp.sqrt(variance[0] / counts[0]), wp.sqrt(variance[1] / counts[1]))
 
 
@@ -436,7 +452,7 @@ def filter_pass(
         lobe_widths: Width of the weights by the turn of the normal in glossy light, in GGX alphas of the highlight.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
-        frames: Number of frames in each pixel's mean; a pixel with 0 takes the light of its neighbours.
+        frames: Number of frames of each pixel's history; a pixel with 0 takes the light of its neighbours.
         light: Light with its standard deviations.
         light_out: Filtered light.
     """

@@ -84,20 +84,14 @@ class RealtimeIntegrator:
         self._bounces = config.max_bounces != 0
         of_indirect = replace(settings, frames=min(settings.frames, settings.indirect_frames))
         lights = {
-            "direct": (settings, 1, DIRECT_LOBE_WIDTHS),
-            "indirect": (of_indirect, INDIRECT_SHARED, INDIRECT_LOBE_WIDTHS),
+            "direct": (settings, 1, DIRECT_LOBE_WIDTHS, False),
+            "indirect": (of_indirect, INDIRECT_SHARED, INDIRECT_LOBE_WIDTHS, True),
         }
         self._filters = {
             (name, kind): LightFilter(
-                launcher,
-                buffers,
-                given,
-                f"{name}{kind}",
-                shared=shared,
-                lobe_widths=width,
-                is_indirect=name == "indirect",
+                launcher, buffers, given, f"{name}{kind}", shared=shared, lobe_widths=width, is_indirect=is_indirect
             )
-            for name, (given, shared, width) in lights.items()
+            for name, (given, shared, width, is_indirect) in lights.items()
             for kind in (SPLATS, MESHES)
         }
         self._last: tuple[int, tuple[int, int]] | None = None

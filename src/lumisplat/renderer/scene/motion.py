@@ -14,7 +14,15 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion, MovedBox, PreviousImage, SequenceData
+from lumisplat.device.gi.surfaces import (
+    GONE,
+    OUTDATED_HISTORY_WEIGHT,
+    UNMOVED,
+    InstanceMotion,
+    MovedBox,
+    PreviousImage,
+    SequenceData,
+)
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import transform_points
@@ -26,10 +34,6 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light
 from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-
-OUTDATED_HISTORY_WEIGHT = 1e-4
-"""Factor on the weight of cached lighting in a frame in which a light appears or disappears. New samples then replace
-the cached lighting at once. Where there are no new samples yet, the cached lighting is still shown."""
 
 CHANGED_HISTORY_WEIGHT = 0.7
 """Factor on the weight of cached lighting in each of the `CHANGED_FRAMES` frames after lights move or change a little;
