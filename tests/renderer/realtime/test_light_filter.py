@@ -240,20 +240,29 @@ def test_fading_indirect_light_lags_by_no_more_frames_than_its_means_cover(
 
 
 @pytest.mark.parametrize("weight", [0.5, 0.8])
-def test_rare_bright_samples_of_indirect_light_do_not_count_as_changes_while_objects_move(weight: float) -> None:
+def test_rare_bright_samples_of_highlight_rays_do_not_count_as_changes_while_objects_move(weight: float) -> None:
     """One sample in 40 has all the light, so that most means are brighter than all samples around; none is dropped."""
     frames, cached = 8, 1.0 / (1.0 - weight)
     sequence = FilterSequence(frames=frames, passes=0, is_indirect=True)
     sequence.history_weight = weight
-    diffuse = glossy = np.zeros(COUNT)
-    count = 0.0
+    mean, count = np.zeros(COUNT), 0.0
     for frame in range(40):
         sample = np.where(np.random.default_rng(frame).random(COUNT) < 0.025, 40.0, 0.0)
-        diffuse = diffuse + (sample - diffuse) / min(count + 1.0, cached)
-        glossy = glossy + (sample - glossy) / min(count + 1.0, 2.0 * cached)
+        mean = mean + (sample - mean) / min(count + 1.0, 2.0 * cached)
         count = min(count + 1.0, frames)
-        found = sequence.render(plane(), np.repeat(sample[:, None], 3, 1)).mean(axis=2)
-        np.testing.assert_allclose(found.mean(axis=0), (diffuse.mean(), 0.5 * glossy.mean()), rtol=0.02)
+        found = sequence.render(plane(), np.ones((COUNT, 3)), np.repeat(sample[:, None], 3, 1))
+        np.testing.assert_allclose(found[:, 1].mean(), mean.mean(), rtol=0.02)
+
+
+def test_falling_diffuse_light_does_not_shorten_the_history_of_glossy_indirect_light() -> None:
+    """Diffuse light halves at once while objects move, and arrives in the next frame; glossy light stays averaged."""
+    sequence = FilterSequence(frames=8, passes=0, is_indirect=True)
+    for frame in range(8):
+        sequence.render(plane(), constant_light(), noise(frame))
+    sequence.history_weight = 0.8
+    found = sequence.render(plane(), 0.5 * constant_light(), noise(8))
+    np.testing.assert_allclose(found[:, 0], 0.5 * constant_light(), rtol=1e-3)
+    assert np.mean(sequence.ages() == 8.0) > 0.95
 
 
 def test_light_denoiser_leaves_no_trail_behind_a_moving_shadow() -> None:

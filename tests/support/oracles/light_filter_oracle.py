@@ -143,15 +143,15 @@ def frames_in_means(frames: Doubles, cached: float) -> Doubles:
     return np.minimum(frames[:, None], cached * np.array([1.0, GLOSSY_MEMORY]))
 
 
-def deviations(history: Light, cached: float) -> Doubles:
-    """Returns the standard deviations of a pixel's mean diffuse and glossy luminance, (pixels, 2)."""
+def glossy_deviation(history: Light, cached: float) -> Doubles:
+    """Returns the standard deviation of each pixel's mean glossy luminance, (pixels,)."""
     some = history.frames >= 1.5
-    counts = frames_in_means(np.where(some, history.frames - 1.0, 1.0), cached)
-    return np.where(some[:, None], np.sqrt(own_variances(history) / counts), np.inf)
+    counts = frames_in_means(np.where(some, history.frames - 1.0, 1.0), cached)[:, 1]
+    return np.where(some, np.sqrt(own_variances(history)[:, 1] / counts), np.inf)
 
 
 def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
-    """Returns the fraction of history that each pixel retains, from the samples of 5 x 5 pixels; shape (pixels,)."""
+    """Returns the fraction of diffuse and glossy history that each pixel retains, from 5 x 5 samples; (pixels, 2)."""
     found, expected = luminance(samples), luminance(history.light)
     variance = own_variances(history)
     old = sampled & (history.frames >= YOUNG_FRAMES)
@@ -169,13 +169,15 @@ def retained_shares(surfaces: VisibleSurfaces, history: Light, samples: Doubles,
     by_chance = CHANGE_SIGMAS * np.sqrt(np.minimum(shared, count) * noise + (CHANGE_LEAST * expected_sum) ** 2)
     is_change = (np.abs(difference) > by_chance) & ((difference <= 0.0) | (brighter >= 0.5 * count))
     ratio = by_chance / np.where(is_change, np.abs(difference), 1.0)
-    return np.where(old, np.where(is_change, ratio**4, 1.0).min(axis=1), 1.0)
+    return np.where(old[:, None] & is_change, ratio**4, 1.0)
 
 
 def shares_inside(surfaces: VisibleSurfaces, history: Light, samples: Doubles, sampled: Mask, cached: float) -> Doubles:
-    """Returns the retained fraction for moving scenes, (pixels,), from the range of the 5 x 5 surrounding samples."""
+    """Returns the retained fractions for moving scenes, (pixels, 2), from the range of the 5 x 5 samples around."""
     found, held = luminance(samples), luminance(history.light)
-    noise = deviations(history, cached) if np.isfinite(cached) else np.zeros_like(held)
+    noise = np.zeros_like(held)
+    if np.isfinite(cached):
+        noise[:, 1] = glossy_deviation(history, cached)
     low, high = np.full_like(held, np.inf), np.zeros_like(held)
     for _, _, taps, inside in neighbours(surfaces, 2):
         counts = (
@@ -187,7 +189,7 @@ def shares_inside(surfaces: VisibleSurfaces, history: Light, samples: Doubles, s
         high = np.where(counts[:, None], np.maximum(high, found[taps]), high)
     outside, tolerated = np.maximum(low - held, held - high), np.maximum(CHANGE_LEAST * held, CHANGE_SIGMAS * noise)
     is_change = outside > tolerated
-    return np.where(is_change, (tolerated / np.where(is_change, outside, 1.0)) ** 4, 1.0).min(axis=1)
+    return np.where(is_change, (tolerated / np.where(is_change, outside, 1.0)) ** 4, 1.0)
 
 
 def accumulated(
@@ -210,10 +212,13 @@ def accumulated(
     retained = retained_shares(surfaces, history, samples, sampled, shared)
     if history_weight < 1.0:
         retained = np.minimum(retained, shares_inside(surfaces, history, samples, sampled, cached))
-    count = retained * history.frames + 1.0
+    if not np.isfinite(cached):
+        retained = retained.min(axis=1, keepdims=True).repeat(2, axis=1)
+    of_diffuse, count = retained.T * history.frames + 1.0
     bright = luminance(samples)
     moments = np.stack([bright, bright * bright], axis=-1)
-    add = np.where(sampled[:, None], 1.0 / frames_in_means(count, cached), 0.0)[:, :, None]
+    counts = [frames_in_means(of_diffuse, cached)[:, 0], frames_in_means(count, cached)[:, 1]]
+    add = np.where(sampled[:, None], 1.0 / np.stack(counts, axis=1), 0.0)[:, :, None]
     add_moments = np.where(sampled, 1.0 / np.minimum(count, MOMENT_FRAMES), 0.0)[:, None, None]
     return Light(
         np.where(sampled, np.minimum(count, frames_max), history.frames),

@@ -149,18 +149,18 @@ def frames_in_means(frames: float, cached: float) -> wp.vec2:
 
 @wp.func
 def with_sample(
-    history: PixelHistory, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float, cached: float
+    history: PixelHistory, diffuse_frames: float, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float, cached: float
 ) -> PixelHistory:
     """Returns a history with one more frame's diffuse and glossy light; ``cached`` is that of `cached_frames`.
 
-    Beyond ``frames_max``, and beyond `frames_in_means`, old frames fade.
+    Its diffuse light counts ``diffuse_frames`` frames. Beyond ``frames_max``, and beyond `frames_in_means`, old frames
+    fade.
     """
     count = history.frames + 1.0
-    counts = frames_in_means(count, cached)
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
     moments = wp.vec4(bright[0], bright[0] * bright[0], bright[1], bright[1] * bright[1])
-    history.diffuse += (diffuse - history.diffuse) / counts[0]
-    history.glossy += (glossy - history.glossy) / counts[1]
+    history.diffuse += (diffuse - history.diffuse) / frames_in_means(diffuse_frames + 1.0, cached)[0]
+    history.glossy += (glossy - history.glossy) / frames_in_means(count, cached)[1]
     history.moments += (moments - history.moments) / wp.min(count, MOMENTS)
     history.frames = wp.min(count, frames_max)
     return history
@@ -243,16 +243,14 @@ def variance_of(moments: wp.vec4) -> wp.vec2:
 
 
 @wp.func
-def deviation_of(history: PixelHistory, cached: float) -> wp.vec2:
-    """Returns the standard deviations of a pixel's mean diffuse and glossy luminance; inf for fewer than 1.5 frames.
+def glossy_deviation(history: PixelHistory, cached: float) -> float:
+    """Returns the standard deviation of a pixel's mean glossy luminance; inf for fewer than 1.5 frames.
 
-    They follow from the variance of samples, which a single frame does not show.
+    It follows from the variance of samples, which a single frame does not show.
     """
     if history.frames < 1.5:
-        return wp.vec2(wp.inf)
-    counts = frames_in_means(history.frames - 1.0, cached)
-    variance = variance_of(history.moments)
-    return wp.vec2(wp.sqrt(variance[0] / counts[0]), wp.sqrt(variance[1] / counts[1]))
+        return wp.inf
+    return wp.sqrt(variance_of(history.moments)[1] / frames_in_means(history.frames - 1.0, cached)[1])
 
 
 @wp.func
@@ -316,6 +314,7 @@ def accumulate(
         is_young = pixel_history.frames < YOUNG
         if is_young and (not is_indirect or history_weight <= OUTDATED):
             pixel_history.frames *= history_weight
+        diffuse_frames = pixel_history.frames
         if pixel_history.frames > 0.0 and (history_weight < 1.0 or not is_young):
             x = pixel % size[0]
             y = pixel // size[0]
@@ -350,17 +349,21 @@ def accumulate(
                             found = luminance(of_glossies[tap])
                             held = luminance(held_glossies[tap])
                             glossy = with_pixel(glossy, is_old, found, held, moments[2], moments[3])
-            retained = wp.min(retained_share(diffuse, shared), retained_share(glossy, shared))
+            retained = wp.vec2(retained_share(diffuse, shared), retained_share(glossy, shared))
             if history_weight < 1.0:
-                deviation = wp.vec2(0.0)
+                deviation = float(0.0)
                 if cached < wp.inf:  # the mean of rare bright samples is brighter than all samples of most frames
-                    deviation = deviation_of(pixel_history, cached)
-                held = luminance(pixel_history.diffuse)
-                retained = wp.min(retained, share_inside(diffuse, held, deviation[0]))
-                held = luminance(pixel_history.glossy)
-                retained = wp.min(retained, share_inside(glossy, held, deviation[1]))
-            pixel_history.frames *= retained
-        pixel_history = with_sample(pixel_history, light.diffuse[pixel], light.glossy[pixel], frames_max, cached)
+                    deviation = glossy_deviation(pixel_history, cached)
+                of_diffuse = share_inside(diffuse, luminance(pixel_history.diffuse), 0.0)
+                of_glossy = share_inside(glossy, luminance(pixel_history.glossy), deviation)
+                retained = wp.vec2(wp.min(retained[0], of_diffuse), wp.min(retained[1], of_glossy))
+            if cached == wp.inf:  # a change of either light outdates both
+                retained = wp.vec2(wp.min(retained[0], retained[1]))
+            diffuse_frames = retained[0] * pixel_history.frames
+            pixel_history.frames *= retained[1]
+        pixel_history = with_sample(
+            pixel_history, diffuse_frames, light.diffuse[pixel], light.glossy[pixel], frames_max, cached
+        )
     store_history(pixel, pixel_history, history_out)
 
 
