@@ -231,7 +231,7 @@ def test_means_of_indirect_light_cover_few_frames_while_light_changes() -> None:
 def test_fading_indirect_light_lags_by_no_more_frames_than_its_means_cover(
     weight: float, lags: tuple[float, float]
 ) -> None:
-    """Light falls by 5 % a frame, also where the variance that tolerates noise contains this change."""
+    """Light falls by 5 % a frame, which the tolerated variance contains; its lag may be a quarter longer."""
     sequence = FilterSequence(frames=8, passes=0, is_indirect=True)
     sequence.history_weight = weight
     found = [sequence.render(plane(), np.full((COUNT, 3), 0.95**frame)) for frame in range(60)][-1]
