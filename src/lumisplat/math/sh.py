@@ -16,6 +16,9 @@ _C1 = 0.4886025119029199
 _C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 _C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
 
+_ROTATED_AT_ONCE = 8192
+"""Number of functions that `rotate_sh` rotates at once: their basis values fit the CPU cache."""
+
 
 def sh_basis(directions: npt.ArrayLike, degree: int, dtype: type[np.floating] = np.float64) -> _Floats:
     """Evaluates the real spherical harmonics, which are orthonormal over the sphere.
@@ -67,6 +70,34 @@ def sh_rotation(rotation: npt.NDArray[np.floating], degree: int) -> npt.NDArray[
         band = slice(level**2, (level + 1) ** 2)
         turned[band, band] = np.linalg.lstsq(after[:, band], before[:, band])[0]
     return turned
+
+
+def rotate_sh(sh: npt.ArrayLike, rotations: npt.ArrayLike) -> _Floats:
+    """Rotates the SH coefficients of N functions, each by a rotation of its own.
+
+    Each rotated function has at R d the value that the original has at d. A band of degree l is determined by its
+    values in 2 l + 1 directions: the values of the original in the directions ``R^T d``.
+
+    Args:
+        sh: Coefficients, shape (N, K, C) for K = (degree + 1)^2 and C channels.
+        rotations: Rotations R, shape (N, 3, 3).
+
+    Returns:
+        Rotated coefficients in the precision of ``sh``, shape (N, K, C).
+    """
+    coefficients, turns = np.asarray(sh), np.asarray(rotations)
+    rotated = np.array(coefficients)
+    for first in range(0, len(rotated), _ROTATED_AT_ONCE):
+        rows = slice(first, first + _ROTATED_AT_ONCE)
+        for level in range(1, math.isqrt(rotated.shape[1])):
+            band = slice(level**2, (level + 1) ** 2)
+            count = 2 * level + 1
+            directions = even_directions(4 * count)[:count]  # on one cap: opposite directions would repeat values
+            from_values = np.linalg.inv(sh_basis(directions, level)[:, band])
+            before = directions @ turns[rows]  # row vectors: d^T R = (R^T d)^T
+            basis = sh_basis(before, level, coefficients.dtype.type)[..., band]
+            rotated[rows, band] = from_values.astype(coefficients.dtype) @ (basis @ coefficients[rows, band])
+    return rotated
 
 
 def _polynomials(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats]:

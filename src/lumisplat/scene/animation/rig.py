@@ -306,7 +306,7 @@ class Rig:
     def __post_init__(self) -> None:
         rest = RigPose(self.skeleton.world_from_node(), {})
         meshes = [mesh for surface in self.surfaces if (mesh := surface.mesh(rest)) is not None]
-        if not meshes or len(meshes) < len(self.surfaces):
+        if len(meshes) < len(self.surfaces):
             raise SceneError("the rig has no triangles at rest")
         object.__setattr__(self, "meshes", tuple(meshes))
 

@@ -1,4 +1,4 @@
-"""Gaussians bound to the triangles of a surface or a rig: they deform with the triangles."""
+"""Gaussians bound to a rig, or to the triangles of a surface: they deform with it."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
-from lumisplat.scene.animation.rig import Rig
+from lumisplat.scene.animation.bindings import GaussianBinding, bind_to_bones, bind_to_joints, bind_to_triangles
+from lumisplat.scene.animation.deformation import deform, dots, principal_axes
+from lumisplat.scene.animation.rig import Rig, RigPose
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.mesh_sampling import SurfaceSamples, sample_surfaces
+from lumisplat.scene.ops.normals import estimate_normals
 
 RIG_HIDDEN_AREA = 1e-4
 """Gaussians become transparent if their triangle's posed area is below this fraction of its rest area. The triangle is
 then scaled to a hundredth, or so flat that float32 loses its normal."""
-
-RIG_SHEAR_MIN = 1e-5
-"""Largest cosine between the two wide axes of a deformed Gaussian at which they count as perpendicular: rounding in
-float32 would otherwise rotate round discs."""
 
 _Floats = npt.NDArray[np.floating]
 
@@ -112,8 +112,8 @@ def deform_gaussians(
     triangles = binding.triangles
     vanished = growth[triangles] < RIG_HIDDEN_AREA
     moved = frames[triangles] @ binding.in_frame
-    first, second = _principal_axes(moved[:, :, 0], moved[:, :, 1])
-    wide = np.sqrt(np.stack([_dots(first, first), _dots(second, second)], axis=1))
+    first, second = principal_axes(moved[:, :, 0], moved[:, :, 1])
+    wide = np.sqrt(np.stack([dots(first, first), dots(second, second)], axis=1))
     wide[vanished] = 1.0
     first, second = first / wide[:, :1], second / wide[:, 1:]
     axes = np.stack([first, second, _crosses(first, second)], axis=2)
@@ -128,21 +128,6 @@ def deform_gaussians(
     return changed, vanished
 
 
-def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
-    """Returns perpendicular semi-axes of N ellipses that are given by conjugate semi-axes, (N, 3) each.
-
-    Each pair ``first``, ``second`` is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two
-    possible angles, so that axes change as little as possible.
-    """
-    first_square, second_square, mixed = _dots(first, first), _dots(second, second), _dots(first, second)
-    skewed = np.abs(mixed) > RIG_SHEAR_MIN * np.sqrt(first_square * second_square)
-    ratio = np.divide(second_square - first_square, 2.0 * mixed, out=np.zeros_like(mixed), where=skewed)
-    tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
-    tangent = np.where(skewed, tangent, np.float32(0.0))[:, None]
-    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
-    return cosine * (first - tangent * second), cosine * (tangent * first + second)
-
-
 def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
     """Returns N Gaussians' shading normals, (N, 3), interpolated from vertex normals; ``flat`` if there are none."""
     if vertex_normals is None:
@@ -151,12 +136,8 @@ def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) ->
     unit = np.divide(vertex_normals, lengths, out=np.zeros_like(vertex_normals), where=lengths > 0.0)
     at_corners = unit.astype(np.float32)[binding.corners][binding.triangles]
     smooth = (binding.weights[:, None, :] @ at_corners)[:, 0]
-    length = np.sqrt(_dots(smooth, smooth))[:, None]
+    length = np.sqrt(dots(smooth, smooth))[:, None]
     return np.where(length > _SHORT_NORMAL, smooth / np.maximum(length, _SHORT_NORMAL), flat)
-
-
-def _dots(first: _Floats, second: _Floats) -> _Floats:
-    return np.einsum("ni,ni->n", first, second)
 
 
 def _crosses(first: _Floats, second: _Floats) -> _Floats:
@@ -167,21 +148,25 @@ def _crosses(first: _Floats, second: _Floats) -> _Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RiggedGaussians:
-    """Gaussians on the surface of a rig that follow its triangles; made by `bind_gaussians`.
+    """Gaussians that follow a rig; made by `bind_gaussians`. Their number and order never change.
 
-    The barycentric coordinates of a Gaussian are fixed. The triangle's affine map from rest to pose transforms the
-    Gaussian's two wide axes. The transformed axes span an ellipse, and its principal axes become the new wide axes.
-    Rotation, stretch and shear in the plane are thus exact; a polar decomposition with an area factor would only
-    approximate skin that stretches in one direction. The thin axis is perpendicular to the wide ones and scales with
-    the square root of the area ratio. Normals are interpolated between the posed vertices. Opacities, colours and
-    materials stay; where a triangle shrinks to nothing, its Gaussians get opacity 0. Number and order never change.
+    Gaussians that `bind_gaussians` has sampled are discs in triangles, with fixed barycentric coordinates. The
+    triangle's affine map from rest to pose transforms their two wide axes. The transformed axes span an ellipse, and
+    its principal axes become the new wide axes. Rotation, stretch and shear in the plane are thus exact; a polar
+    decomposition with an area factor would only approximate skin that stretches in one direction. The thin axis is
+    perpendicular to the wide ones and scales with the square root of the area ratio. Normals are interpolated between
+    the posed vertices. Opacities, colours and materials stay; where a triangle shrinks to nothing, its Gaussians get
+    opacity 0.
+
+    Gaussians that were given follow one affine map each, with their covariances, SH and normals.
     """
 
     rig: Rig
     gaussians: Gaussians
-    """Gaussians in the rest pose, in the rig's world space."""
-    bindings: tuple[Binding, ...]
-    """One binding per surface of the rig; ``gaussians`` holds the Gaussians of the surfaces in the same order."""
+    """Gaussians in the pose in which they were bound, in the rig's world space."""
+    bindings: tuple[Binding, ...] | GaussianBinding
+    """Binding of given Gaussians; or one binding per surface of the rig, if ``gaussians`` were sampled: they hold the
+    Gaussians of the surfaces in the same order."""
 
     def __repr__(self) -> str:
         return f"RiggedGaussians(count={self.count}, rig={self.rig!r})"
@@ -202,6 +187,8 @@ class RiggedGaussians:
             SceneError: There is no such clip, or the time is not finite.
         """
         pose = self.rig.pose_at(time, clip)
+        if not isinstance(self.bindings, tuple):
+            return deform(self.gaussians, self.bindings.maps(self.rig, pose))
         columns: dict[str, list[_Floats]] = {name: [] for name in ("means", "rotations_wxyz", "scales", "normals")}
         masks: list[npt.NDArray[np.bool_]] = []
         first = 0
@@ -220,19 +207,61 @@ class RiggedGaussians:
         return replace(self.gaussians, **changed)
 
 
-def bind_gaussians(rig: Rig, count: int | None = None, seed: int = 0) -> RiggedGaussians:
-    """Covers a rig's surface with Gaussians, as `gaussians_from_mesh` does, and binds them to the rig's triangles.
+def bind_gaussians(
+    rig: Rig,
+    count: int | None = None,
+    seed: int = 0,
+    *,
+    gaussians: Gaussians | None = None,
+    weights: npt.ArrayLike | None = None,
+    pose: RigPose | None = None,
+) -> RiggedGaussians:
+    """Binds Gaussians to a rig: given ones, or new ones that cover the rig's meshes as `gaussians_from_mesh` does.
+
+    Given Gaussians are a trained avatar in one pose of the rig. They keep their look. They follow
+
+    - joints by ``weights`` (linear blend skinning, as canonical Gaussians of GART, HUGS and ExAvatar do);
+    - without weights, the nearest triangles of the rig's meshes, blended over the vertices between them;
+    - bones by distance, if the rig has no meshes.
+
+    Covariances and normals follow the blended map exactly, SH turn with its rotation. Given Gaussians without normals
+    get those of `estimate_normals`, once, so that lit sequences do not flicker.
 
     Args:
         rig: Rig from `load_rig`.
-        count: Number of Gaussians, at least one per mesh of the rig; None: so many that neighbours are 1/300 of the
+        count: Number of new Gaussians, at least one per mesh of the rig; None: so many that neighbours are 1/300 of the
             bounding box's diagonal apart, from 1,000 to 1,000,000.
-        seed: Seed of the random order; equal seeds give equal results on the same platform and NumPy version.
+        seed: Seed of the random order of new Gaussians; equal seeds give equal results on the same platform and NumPy
+            version.
+        gaussians: N Gaussians to bind, in the rig's world space; None: new ones.
+        weights: Skinning weights of the Gaussians, at least 0, shape (N, J), J the number of joints of the rig's skin
+            or of nodes of its skeleton; rows are scaled to sum 1.
+        pose: Pose of the rig in which ``gaussians`` stand, from `Rig.pose_at`; None: the rest pose.
 
     Raises:
-        SceneError: ``rig`` is not a rig, or ``count`` is out of range.
+        SceneError: ``rig`` is not a rig, ``count`` is out of range, an argument applies to given Gaussians only, or
+            weights do not fit.
     """
     check_argument("bind_gaussians", rig, Rig, "a Rig of load_rig")
-    samples = sample_surfaces(rig.meshes, count, seed)
-    bindings = [bind_surface(mesh, one) for mesh, one in zip(rig.meshes, samples, strict=True)]
-    return RiggedGaussians(rig, merge_gaussians([one.gaussians for one in samples]), tuple(bindings))
+    if gaussians is None:
+        if weights is not None or pose is not None:
+            raise SceneError("bind_gaussians: weights and pose are those of given Gaussians: pass gaussians=, too")
+        if not rig.surfaces:
+            raise SceneError("the rig has no meshes to cover with Gaussians: pass gaussians=")
+        samples = sample_surfaces(rig.meshes, count, seed)
+        bindings = [bind_surface(mesh, one) for mesh, one in zip(rig.meshes, samples, strict=True)]
+        return RiggedGaussians(rig, merge_gaussians([one.gaussians for one in samples]), tuple(bindings))
+    check_argument("bind_gaussians", gaussians, Gaussians, "Gaussians")
+    if count is not None:
+        raise SceneError("bind_gaussians: count is the number of new Gaussians, but gaussians are given, too")
+    rest = RigPose(rig.skeleton.world_from_node(), {}) if pose is None else pose
+    points = gaussians.means.astype(np.float64) + np.asarray(gaussians.origin)
+    if weights is not None:
+        binding: GaussianBinding = bind_to_joints(rig, rest, weights, gaussians.count)
+    elif rig.surfaces:
+        binding = bind_to_triangles(rig, rest, points)
+    else:
+        binding = bind_to_bones(rig, rest, points)
+    if gaussians.normals is None:
+        gaussians = replace(gaussians, normals=estimate_normals(gaussians))
+    return RiggedGaussians(rig, gaussians, binding)

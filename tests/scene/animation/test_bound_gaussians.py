@@ -1,0 +1,203 @@
+"""Given Gaussians follow a rig: by weights, by its triangles, or by its bones, with covariances, SH and normals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import lumisplat as ls
+from lumisplat.math.sh import rotate_sh, sh_basis, sh_rotation
+from lumisplat.scene.animation.bindings import JointBinding, nearest_on_triangles
+from lumisplat.scene.animation.deformation import deform, nearest_rotations
+from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Rig, Skeleton, Track
+from support.files.rig_files import BEND, TubeRig
+from support.kinds import present
+from support.oracles.rig_oracle import world_matrices
+
+RNG = np.random.default_rng(49)
+
+
+def some_gaussians(means: np.ndarray, seed: int = 1, **changes: object) -> ls.Gaussians:
+    """Returns Gaussians with random rotations, scales, degree-2 SH and normals at the means, shape (N, 3)."""
+    rng = np.random.default_rng(seed)
+    count = len(means)
+    normals = rng.standard_normal((count, 3))
+    columns = {
+        "rotations_wxyz": rng.standard_normal((count, 4)),
+        "scales": rng.uniform(0.01, 0.3, (count, 3)),
+        "opacities": rng.uniform(0.2, 0.9, count),
+        "sh": 0.3 * rng.standard_normal((count, 9, 3)),
+        "normals": normals / np.linalg.norm(normals, axis=1, keepdims=True),
+    }
+    return ls.Gaussians(means, **(columns | changes))  # pyright: ignore[reportArgumentType]
+
+
+def covariances(gaussians: ls.Gaussians) -> np.ndarray:
+    """Returns covariance matrices, shape (N, 3, 3)."""
+    axes = Rotation.from_quat(np.roll(gaussians.rotations_wxyz.astype(float), -1, axis=1)).as_matrix()
+    axes = axes * gaussians.scales.astype(float)[:, None, :]
+    return axes @ axes.transpose(0, 2, 1)
+
+
+def test_deformed_gaussians_follow_an_affine_map_exactly():
+    """Means, covariances and normals follow the map; SH have at R d the value they had at d."""
+    count = 200
+    means = RNG.uniform(-1.0, 1.0, (count, 3))
+    gaussians = some_gaussians(means)
+    maps = np.concatenate([np.eye(3) + 0.4 * RNG.standard_normal((count, 3, 3)), RNG.standard_normal((count, 3, 1))], 2)
+    maps[:50, :, :3] = 1.7 * Rotation.from_quat(RNG.standard_normal((50, 4))).as_matrix()
+    linear = maps[:, :, :3]
+    kept = np.linalg.det(linear) > 0.05
+    gaussians, maps, linear = gaussians.subset(np.flatnonzero(kept)), maps[kept], linear[kept]
+    moved = deform(gaussians, maps)
+    expected = np.einsum("nij,nj->ni", linear, gaussians.means) + maps[:, :, 3]
+    np.testing.assert_allclose(moved.means, expected, atol=2e-6)
+    wanted = linear @ covariances(gaussians) @ linear.transpose(0, 2, 1)
+    largest = np.trace(wanted, axis1=1, axis2=2)[:, None, None]
+    np.testing.assert_allclose(covariances(moved) / largest, wanted / largest, atol=3e-5)
+    normals = np.array([np.linalg.inv(a).T @ n for a, n in zip(linear, present(gaussians.normals), strict=True)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    np.testing.assert_allclose(present(moved.normals), normals, atol=1e-5)
+    left, _, right = np.linalg.svd(linear)
+    for row in (0, 60, 99):
+        turn = left[row] @ right[row]
+        directions = RNG.standard_normal((8, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        before = sh_basis(directions, 2) @ gaussians.sh[row]
+        np.testing.assert_allclose(sh_basis(directions @ turn.T, 2) @ moved.sh[row], before, atol=1e-5)
+    assert moved.opacities is gaussians.opacities
+
+
+def test_a_map_that_flattens_a_gaussian_hides_it_and_only_it():
+    """A singular or mirroring map makes its Gaussian transparent and leaves finite values."""
+    maps = np.tile(np.eye(3, 4), (3, 1, 1))
+    maps[1, :, 2] = 0.0
+    maps[2, 0, 0] = -1.0
+    moved = deform(some_gaussians(np.zeros((3, 3))), maps)
+    assert moved.opacities[0] > 0.0
+    np.testing.assert_array_equal(moved.opacities[1:], 0.0)
+
+
+def test_nearest_rotations_equal_the_singular_value_decomposition():
+    """The polar factor by Newton steps equals that of the SVD, also for nearly singular matrices."""
+    linear = RNG.standard_normal((300, 3, 3))
+    linear[np.linalg.det(linear) < 0.0, 0] *= -1.0
+    linear[0] = np.diag([1.0, 1.0, 1e-7])
+    left, _, right = np.linalg.svd(linear)
+    np.testing.assert_allclose(nearest_rotations(linear), left @ right, atol=1e-6)
+
+
+def test_rotating_each_function_equals_the_rotation_matrix_of_sh():
+    """`rotate_sh` of one function equals the matrix of `sh_rotation`, which another method computes."""
+    turns = Rotation.from_quat(RNG.standard_normal((5, 4))).as_matrix()
+    sh = RNG.standard_normal((5, 16, 3))
+    expected = [sh_rotation(turn, 3) @ one for turn, one in zip(turns, sh, strict=True)]
+    np.testing.assert_allclose(rotate_sh(sh, turns), expected, atol=1e-12)
+
+
+def test_weights_skin_gaussians_as_linear_blend_skinning_does(tmp_path):
+    """Means equal those of a skinning loop in float64 that shares no code; the rest pose changes nothing."""
+    tube = TubeRig(clips={"bend": BEND})
+    rig = ls.avatars.load_rig(tube.write(tmp_path / "tube.glb"))
+    means = RNG.uniform(-0.5, 2.5, (40, 3))
+    joints = len(rig.surfaces[0].parts[0].nodes)
+    weights = RNG.uniform(0.0, 1.0, (40, joints)) ** 4
+    bound = ls.bind_gaussians(rig, gaussians=some_gaussians(means), weights=weights)
+    shown = bound.at(0.7, "bend")
+    rest, world = world_matrices(tube, None, 0.0), world_matrices(tube, "bend", 0.7)
+    nodes = rig.surfaces[0].parts[0].nodes
+    for row in range(40):
+        share = weights[row] / weights[row].sum()
+        moved = [w * world[node] @ np.linalg.inv(rest[node]) for w, node in zip(share, nodes, strict=True)]
+        matrix = np.sum(moved, axis=0)
+        np.testing.assert_allclose(shown.means[row], (matrix @ [*means[row], 1.0])[:3], atol=1e-5)
+    still = ls.bind_gaussians(rig, gaussians=bound.gaussians, weights=weights, pose=rig.pose_at(0.7, "bend"))
+    np.testing.assert_allclose(still.at(0.7, "bend").means, means, atol=1e-5)
+
+
+def test_gaussians_on_a_skin_stay_on_it_in_every_pose(tmp_path):
+    """Gaussians sampled on the mesh, bound by nearest triangles, move as those bound to their own triangles."""
+    rig = ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
+    own = ls.bind_gaussians(rig, 400)
+    bound = ls.bind_gaussians(rig, gaussians=replace(own.gaussians, normals=None))
+    expected, found = own.at(0.8), bound.at(0.8)
+    np.testing.assert_allclose(found.means, expected.means, atol=1e-5)
+    cosines = np.abs(np.einsum("ni,ni->n", present(found.normals), present(expected.normals)))
+    assert np.median(cosines) > 0.99 and cosines.min() > 0.8
+    lifted = replace(own.gaussians, means=own.gaussians.means + 0.05 * present(own.gaussians.normals))
+    above = ls.bind_gaussians(rig, gaussians=lifted).at(0.8)
+    gap = np.linalg.norm(above.means - expected.means, axis=1)
+    assert np.median(np.abs(gap - 0.05)) < 0.01
+
+
+def test_the_nearest_triangle_and_point_equal_those_of_a_search_over_all():
+    """The nearest points equal those of trimesh on triangles of very different sizes."""
+    trimesh = pytest.importorskip("trimesh")
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    corners = np.concatenate([sphere.triangles, [[[2.0, -5.0, -5.0], [2.0, 5.0, -5.0], [2.0, 0.0, 9.0]]]])
+    points = RNG.uniform(-2.0, 2.5, (300, 3))
+    rows, weights = nearest_on_triangles(corners, points)
+    found = np.einsum("nk,nki->ni", weights, corners[rows])
+    mesh = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), process=False)
+    best = np.full(len(points), np.inf)
+    for triangle in mesh.triangles:
+        near = trimesh.triangles.closest_point(np.tile(triangle, (len(points), 1, 1)), points)
+        best = np.minimum(best, np.linalg.norm(near - points, axis=1))
+    np.testing.assert_allclose(np.linalg.norm(found - points, axis=1), best, atol=1e-9)
+
+
+def two_bones() -> Rig:
+    """Returns a skeleton of an upper and a lower arm along x, each 1 long, whose elbow bends by 90 degrees in 1 s."""
+    skeleton = Skeleton(
+        parents=(None, 0, 1),
+        order=(0, 1, 2),
+        translations=np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+        scales=np.ones((3, 3)),
+        matrices={},
+    )
+    turn = np.array([[1.0, 0.0, 0.0, 0.0], [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]])
+    bend = Track(1, Channel.ROTATION, Interpolation.LINEAR, np.array([0.0, 1.0]), turn)
+    return Rig(skeleton, (), (Clip("bend", (bend,)),))
+
+
+def test_bones_carry_the_gaussians_around_them():
+    """Far from the elbow Gaussians are rigid with their bone; at the elbow both share them; nothing tears."""
+    along = np.linspace(0.05, 1.95, 191)
+    means = np.stack([along, 0.1 * np.cos(40.0 * along), 0.1 * np.sin(40.0 * along)], axis=1)
+    bound = ls.bind_gaussians(two_bones(), gaussians=some_gaussians(means))
+    assert isinstance(bound.bindings, JointBinding)
+    moved = bound.at(1.0)
+    upper, lower = along < 0.8, along > 1.2
+    np.testing.assert_allclose(moved.means[upper], means[upper], atol=1e-5)
+    elbow, quarter = np.array([1.0, 0.0, 0.0]), Rotation.from_rotvec([0.0, 0.0, np.pi / 2.0])
+    np.testing.assert_allclose(moved.means[lower], quarter.apply(means[lower] - elbow) + elbow, atol=1e-5)
+    shares = bound.bindings.weights[np.abs(along - 1.0) < 0.02]
+    assert (shares[:, :2] > 0.2).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"weights": np.ones((4, 5))}, "weights has shape (4, 5), expected (4, 3)"),
+        ({"weights": -np.ones((4, 3))}, "weights has -1, expected numbers of at least 0"),
+        ({"weights": np.eye(4, 3)}, "weights of Gaussian 3 are all 0"),
+        ({"count": 7}, "count is the number of new Gaussians"),
+    ],
+)
+def test_bindings_that_do_not_fit_are_refused(arguments, message):
+    """A wrong shape, negative or empty weights and a needless count give one line each."""
+    with pytest.raises(ls.SceneError) as caught:
+        ls.bind_gaussians(two_bones(), gaussians=some_gaussians(np.ones((4, 3))), **arguments)
+    assert message in str(caught.value)
+
+
+def test_weights_without_gaussians_and_a_skeleton_without_any_are_refused():
+    """Weights belong to given Gaussians, and a rig without meshes cannot be covered."""
+    with pytest.raises(ls.SceneError, match="pass gaussians="):
+        ls.bind_gaussians(two_bones(), weights=np.ones((4, 3)))
+    with pytest.raises(ls.SceneError, match="no meshes to cover"):
+        ls.bind_gaussians(two_bones())
