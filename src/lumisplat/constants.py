@@ -103,6 +103,10 @@ SHADOW_OFFSET = 4.0
 smaller of their two scales counts. Light lost to self-shadowing in three captures lit from the camera: 1.6 to 4.6 % at
 2, 0.8 to 3.1 % at 3, 0.6 to 2.2 % at 4 (docs/adr/0018)."""
 
+COLOR_STRENGTH_MAX = 5.0
+"""Largest ``color_strength`` of shadows; there Gaussians transmit all the light that their colours allow
+(docs/method/shadows.md#threshold-and-tint). The range is NVIDIA's."""
+
 CATCHER_AMBIENT = 0.5
 """Default ambient light of a shadow catcher, as radiance over albedo, in scenes with lights and without an
 environment: half of the light that makes white paper white."""

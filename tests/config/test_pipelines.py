@@ -46,6 +46,9 @@ def test_each_unused_setting_is_listed_with_the_frames_that_would_use_it() -> No
     assert unused["realtime"] == "Used by the pipeline realtime."
     assert unused["shadow_rays"] == "Used with shadows, hard or soft."
     assert "raster" not in unused and "tone_map" not in unused
+    shared = ls.RenderConfig(shadow_rays=ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True))
+    told = shared.unused_settings(lit=True)
+    assert "shared_draws" in told["shadow_rays.color_strength"] and "shadow_rays.transmittance_threshold" in told
     assert "tone_map" in ls.RenderConfig().unused_settings(lit=False)
 
 

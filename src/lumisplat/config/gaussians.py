@@ -8,7 +8,7 @@ from typing import Annotated
 
 from lumisplat.config.checks import OneOf, Range
 from lumisplat.config.setting import Share, take_fields
-from lumisplat.constants import HIT_COUNTS, KERNEL_DEGREE_MAX, SH_DEGREE_MAX, SHADOW_OFFSET
+from lumisplat.constants import COLOR_STRENGTH_MAX, HIT_COUNTS, KERNEL_DEGREE_MAX, SH_DEGREE_MAX, SHADOW_OFFSET
 
 # Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
 
@@ -261,16 +261,17 @@ class ShadowConfig:
     on purpose, raise ``transmittance_threshold``."""
     transmittance_threshold: Annotated[float, Range(0.0, 0.99)] = 0.0
     """Transmittance t up to which a shadow is black; larger ones are stretched from t to 1 onto 0 to 1. 0 changes
-    nothing. ``STOCHASTIC`` does not read it."""
+    nothing. ``shared_draws`` does not read it."""
     acceptance_scale: Annotated[float, Range(1e-3, 1.0)] = 1.0
     """Factor of the random numbers of ``STOCHASTIC``. Below 1, Gaussians block a ray with probability alpha divided by
     this factor: faster, and darker than exact (Hu et al. 2025, figure 4)."""
     shared_draws: bool = False
     """Shares one random number for each Gaussian between all rays of a ``STOCHASTIC`` sample. Up to twice as fast, but
     frames of few samples have blotches, which no filter removes."""
-    color_strength: Annotated[float, Range(0.0, 5.0)] = 0.0
-    """Strength of the tint of partial shadows by the colour of the Gaussians that cast them, like stained glass; 0:
-    grey, as always with ``STOCHASTIC``."""
+    color_strength: Annotated[float, Range(0.0, COLOR_STRENGTH_MAX)] = 0.0
+    """Strength of the tint of shadows by the colour of the Gaussians that cast them, like stained glass; 0: grey. At
+    5, opaque Gaussians transmit their whole colour, at 1 a fifth of it (docs/method/shadows.md#threshold-and-tint).
+    ``shared_draws`` does not read it."""
 
     __post_init__ = take_fields
 

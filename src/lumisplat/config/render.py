@@ -14,6 +14,7 @@ from lumisplat.config.gaussians import (
     RasterStrategy,
     ResponseConfig,
     ShadowConfig,
+    ShadowMethod,
     TraceConfig,
 )
 from lumisplat.config.pipelines import READ_BY, READ_IF_LIT, READ_IF_SAMPLED, Pipeline
@@ -233,6 +234,9 @@ class RenderConfig:
             unused |= dict.fromkeys(READ_IF_SAMPLED, "Used in lit frames, and by other pipelines than raster.")
         if self.shadows is Shadows.OFF:
             unused["shadow_rays"] = "Used with shadows, hard or soft."
+        if self.shadow_rays.method is ShadowMethod.STOCHASTIC and self.shadow_rays.shared_draws:
+            names = ("shadow_rays.color_strength", "shadow_rays.transmittance_threshold")
+            unused |= dict.fromkeys(names, "Used without shadow_rays.shared_draws, whose rays know no transmittance.")
         if not lit:
             unused |= dict.fromkeys(READ_IF_LIT, "Used in lit frames: add a light, or switch lighting on.")
         return unused

@@ -337,7 +337,7 @@ def test_transmittance_threshold_is_subtracted_from_shadow_transmittance_and_res
 
 
 def test_shadows_in_frames_are_tinted_by_the_colours_of_the_blocking_gaussians() -> None:
-    """The tint is the mean colour of the Gaussians, brightest channel 1, weighted by strength times darkness."""
+    """What passes is filtered by the mean colour of the Gaussians; of what is blocked, a fifth of 1.5 times it adds."""
     shadow = ls.ShadowConfig(color_strength=1.5)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, aovs=("lights",), shadow_rays=shadow)
@@ -346,9 +346,10 @@ def test_shadows_in_frames_are_tinted_by_the_colours_of_the_blocking_gaussians()
     passed = (1.0 - each).prod(axis=0)
     colors = decode_srgb(np.array([[0.9, 0.1, 0.1], [0.1, 0.8, 0.2], [0.2, 0.2, 0.9], [0.6, 0.6, 0.6]]))
     tint = np.tensordot(each, colors, axes=(0, 0))
+    mean = tint / np.maximum(each.sum(axis=0)[..., None], 1e-12)
     tint /= np.maximum(tint.max(axis=-1, keepdims=True), 1e-12)
     share = np.minimum(1.5 * (1.0 - passed), 1.0)[..., None]
-    expected = passed[..., None] * (1.0 - share + share * tint)
+    expected = passed[..., None] * (1.0 - share + share * tint) + (1.0 - passed[..., None]) * 1.5 / 5.0 * mean
     on_plane = frame.instance_index == 1
     off = np.abs(frame.light_shadow[0] - expected)[on_plane]
     assert np.ptp(expected[on_plane], axis=-1).max() > 0.2

@@ -180,11 +180,22 @@ def test_shadow_rays_map_transmittance_from_threshold_to_1_linearly_to_0_to_1(ri
 
 @pytest.mark.parametrize("strength", [0.0, 0.5, 1.0, 5.0])
 def test_tint_of_a_shadow_ray_by_one_gaussian_matches_the_closed_form(rig: ShadowRig, strength: float) -> None:
-    """The tint is the Gaussian's linear colour over its largest channel, weighted by the darkness of the shadow."""
+    """The Gaussian filters what passes by its colour, and transmits its colour of what it blocks, by strength / 5."""
     color = (0.8, 0.4, 0.2)
     light = rig.light(ls.Scene([stack(0.6, color=color)]), ORIGIN, AHEAD, color_strength=strength)[0]
-    tint = decode_srgb(np.array(color)) / decode_srgb(0.8)
-    np.testing.assert_allclose(light, 0.4 * (1.0 + min(0.6 * strength, 1.0) * (tint - 1.0)), rtol=1e-5)
+    linear = decode_srgb(np.array(color))
+    filtered = 0.4 * (1.0 + min(0.6 * strength, 1.0) * (linear / linear.max() - 1.0))
+    np.testing.assert_allclose(light, filtered + 0.6 * strength / 5.0 * linear, rtol=1e-5)
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.0, 5.0])
+def test_opaque_gaussians_tint_the_light_that_they_block(rig: ShadowRig, strength: float) -> None:
+    """Behind 60 opaque Gaussians, each ray receives their mean colour times strength / 5, never more than it blocks."""
+    layers = [stack(0.99, color=color) for color in ((0.9, 0.2, 0.2), (0.2, 0.3, 0.9))]
+    scene = ls.Scene([ls.SplatInstance(layers[i % 2], similarity(offset=(0.0, 0.0, 0.1 * i))) for i in range(60)])
+    light = rig.light(scene, ORIGIN, AHEAD, color_strength=strength)[0]
+    mean = decode_srgb(np.array([[0.9, 0.2, 0.2], [0.2, 0.3, 0.9]])).mean(axis=0)
+    np.testing.assert_allclose(light, strength / 5.0 * mean, rtol=1e-4)
 
 
 def test_tint_of_a_shadow_ray_is_the_mean_gaussian_colour_weighted_by_alpha(rig: ShadowRig) -> None:
@@ -194,7 +205,8 @@ def test_tint_of_a_shadow_ray_is_the_mean_gaussian_colour_weighted_by_alpha(rig:
     for splats in ([red, ls.SplatInstance(green, away)], [green, ls.SplatInstance(red, away)]):
         light = rig.light(ls.Scene(splats), ORIGIN, AHEAD, color_strength=1.0)[0]
         share = 1.0 - 0.28
-        np.testing.assert_allclose(light, 0.28 * np.array([1.0, 1.0 - share * 0.5, 1.0 - share]), rtol=1e-4)
+        filtered = 0.28 * np.array([1.0, 1.0 - share * 0.5, 1.0 - share])
+        np.testing.assert_allclose(light, filtered + share / 5.0 * np.array([2.0, 1.0, 0.0]) / 3.0, rtol=1e-4)
     black = rig.light(ls.Scene([stack(0.5, color=(0.0, 0.0, 0.0))]), ORIGIN, AHEAD, color_strength=5.0)[0]
     np.testing.assert_allclose(black, 0.5, rtol=1e-5)
 
@@ -219,8 +231,9 @@ def test_shadow_rays_by_the_first_hits_method_are_blocked_by_the_nearest_four_ga
     np.testing.assert_allclose(light, 0.9 * 0.8 * 0.7 * 0.6, rtol=1e-5)
     tinted = joined(stack(0.5, 0.5, 0.5, 0.5, color=(0.2, 0.2, 0.9)), one_gaussian((0, 0, 8), color=(0.9, 0.0, 0.0)))
     blue = rig.light(ls.Scene([tinted]), ORIGIN, AHEAD, method=FIRST, hits=4, color_strength=1.0)[0]
-    tint = decode_srgb(0.2) / decode_srgb(0.9)
-    np.testing.assert_allclose(blue, 0.0625 * np.array([1.0 - 0.9375 * (1.0 - tint)] * 2 + [1.0]), rtol=1e-4)
+    color = decode_srgb(np.array([0.2, 0.2, 0.9]))
+    filtered = 0.0625 * (1.0 - 0.9375 * (1.0 - color / color.max()))
+    np.testing.assert_allclose(blue, filtered + 0.9375 / 5.0 * color, rtol=1e-4)
 
 
 def test_shadow_method_first_hits_orders_hits_at_equal_distance_by_gaussian_index(rig: ShadowRig) -> None:
@@ -404,7 +417,8 @@ def test_inactive_nan_and_zero_length_shadow_rays_give_no_nan_in_any_ray(rig: Sh
         )
         assert np.isfinite(light).all()
         if method is not STOCHASTIC:
-            np.testing.assert_allclose(light[::8, 0], 4.0 / 9.0, rtol=1e-5)
+            expected = 4.0 / 9.0 + 5.0 / 9.0 * decode_srgb(0.9) / 5.0
+            np.testing.assert_allclose(light[::8, 0], expected, rtol=1e-5)
     assert (rig.light(ls.Scene(), origins, AHEAD) == 1.0).all()
 
 
@@ -578,11 +592,27 @@ def test_shrunk_bvhs_are_updated_when_instances_are_added_moved_or_removed(monke
         assert 0.1 < shrunk.mean() < 0.999
 
 
-def test_shadow_threshold_and_tint_do_not_change_stochastic_shadows(rig: ShadowRig) -> None:
-    """The formulas of threshold and tint leave a transmittance of 0 or 1 unchanged."""
+@pytest.mark.parametrize("strength", [0.0, 3.0])
+def test_threshold_and_tint_change_stochastic_shadows_as_exact_ones_in_the_mean(
+    rig: ShadowRig, strength: float
+) -> None:
+    """A ray's random numbers are stratified, so each mean of 64 samples is exact to 1/64."""
+    scene, rays = ls.Scene([random_gaussians(88, 200)]), rays_around(89, 120)
+    options: Any = {"transmittance_threshold": 0.4, "color_strength": strength}
+    exact = rig.light(scene, *rays, **options)
+    drawn = [rig.light(scene, *rays, sample=sample, method=STOCHASTIC, **options) for sample in range(64)]
+    mean = np.mean(drawn, axis=0)
+    assert (np.abs(mean - exact) <= 1.0 / 64.0 + 1e-5).all()
+    assert abs(float(np.mean(mean - exact))) < 4.0 / 64.0 / math.sqrt(exact.size)
+    assert 0.1 < (exact < 0.9).mean() < 0.99
+
+
+def test_threshold_and_tint_do_not_change_stochastic_shadows_with_shared_draws(rig: ShadowRig) -> None:
+    """Such rays are blocked or not, by any of their Gaussians: their transmittance is unknown."""
     scene, rays = ls.Scene([random_gaussians(88, 200)]), rays_around(89)
-    plain = rig.light(scene, *rays, method=STOCHASTIC)
-    other = rig.light(scene, *rays, method=STOCHASTIC, transmittance_threshold=0.8, color_strength=3.0)
+    options: Any = {"method": STOCHASTIC, "shared_draws": True}
+    plain = rig.light(scene, *rays, **options)
+    other = rig.light(scene, *rays, **options, transmittance_threshold=0.8, color_strength=3.0)
     np.testing.assert_array_equal(plain, other)
 
 

@@ -79,7 +79,7 @@ def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
     blocking = np.minimum(found.alpha / shadow.acceptance_scale, 1.0) if by_chance else found.alpha
     transmittance = float(np.prod(1.0 - blocking))
     floor = max(shadow.transmittance_min, shadow.transmittance_threshold)
-    color = past_meshes * shade(transmittance, mean_color(world, found), world.config)
+    color = past_meshes * shade(transmittance, mean_color(world, found, blocking), world.config)
     slope = (1.0 + shadow.color_strength) / (1.0 - shadow.transmittance_threshold)
     near_floor = abs(transmittance - floor) <= slack + 1e-5 * floor
     return color, np.inf if unsure else slope * slack + (slope * floor if near_floor else 0.0)
@@ -88,20 +88,21 @@ def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
 def shade(transmittance: float, color: np.ndarray, config: RenderConfig) -> np.ndarray:
     """Returns the factor of light that passes Gaussians of this transmittance and mean colour, shape (3,)."""
     shadow = config.shadow_rays
-    if transmittance <= max(shadow.transmittance_min, shadow.transmittance_threshold):
-        return np.zeros(3)
     bright = (transmittance - shadow.transmittance_threshold) / (1.0 - shadow.transmittance_threshold)
+    bright = max(bright, 0.0)
+    passed = 0.0 if transmittance <= shadow.transmittance_min else bright
     share = min(shadow.color_strength * (1.0 - bright), 1.0)
     tint = color / color.max() if color.max() > 0.0 else np.ones(3)
-    return bright * (1.0 + share * (tint - 1.0))
+    blocked = (1.0 - bright) * shadow.color_strength / 5.0 * np.minimum(color, 1.0)
+    return passed * (1.0 + share * (tint - 1.0)) + blocked
 
 
-def mean_color(world: World, found: Hits) -> np.ndarray:
-    """Returns the alpha-weighted mean of the linear view-independent colours, shape (3,)."""
+def mean_color(world: World, found: Hits, weights: np.ndarray) -> np.ndarray:
+    """Returns the weighted mean of the linear view-independent colours, shape (3,)."""
     if not len(found):
         return np.zeros(3)
     display = np.maximum(SH_C0 * world.sh[found.index, 0] + 0.5, 0.0)
-    return found.alpha @ decode_srgb(display) / found.alpha.sum()
+    return weights @ decode_srgb(display) / weights.sum()
 
 
 # --- Meshes ---

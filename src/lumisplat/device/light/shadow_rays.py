@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import HIT_COUNTS
+from lumisplat.constants import COLOR_STRENGTH_MAX, HIT_COUNTS
 from lumisplat.device.bvh.nodes import larger, lesser
 from lumisplat.device.bvh.packet import empty_list, insert_hit, is_before, packet_of
 from lumisplat.device.gaussian.packet_tracing import HIT_NONE, packet_hits_of
@@ -21,7 +21,6 @@ from lumisplat.device.math.sh import sh_color
 from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import (
-    DRAWS_NONE,
     DRAWS_PER_RAY,
     DRAWS_SHARED,
     FAR,
@@ -37,6 +36,10 @@ from lumisplat.device.structs.bvh import (
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SmoothData, SplatInstanceData
 from lumisplat.device.structs.shading import Contribution, ShadingScene, WaveData
+
+TINTED_TRANSMITTANCE_MIN = wp.constant(1e-30)
+"""Lower bound of the transmittance of tinted shadow rays, which go on behind opaque Gaussians: their product must not
+become 0, at which the traversal ends."""
 
 # --- Origins of shadow rays ---
 
@@ -140,21 +143,20 @@ def shadow_key(settings: ShadowData) -> wp.uint32:
 def shadow_floor(settings: ShadowData, pixel_key: wp.uint32, sample: int) -> float:
     """Returns the transmittance at which a shadow ray ends as blocked.
 
-    It is the transmittance that counts as black or, with DRAWS_PER_RAY, a random number of the ray.
+    It is the transmittance that counts as black. With DRAWS_PER_RAY it is a random number of the ray, stretched from
+    0..1 to the threshold..1, so that the ray passes with the probability that the threshold leaves of the light.
     """
     if settings.draws == DRAWS_PER_RAY:
-        return sobol_2d(pixel_key, sample)[0]
+        return settings.threshold + (1.0 - settings.threshold) * sobol_2d(pixel_key, sample)[0]
     if settings.draws == DRAWS_SHARED:
         return 0.0
     return wp.max(settings.transmittance_min, settings.threshold)
 
 
 @wp.func
-def passed_share(settings: ShadowData, transmittance: float) -> float:
-    """Returns the light's visibility for the final transmittance of a shadow ray: 0 or 1 for stochastic shadows."""
-    if settings.draws == DRAWS_NONE:
-        return transmittance
-    return wp.where(transmittance > 0.0, 1.0, 0.0)
+def is_tinted(settings: ShadowData) -> bool:
+    """Returns whether Gaussians tint shadows; rays then hit all Gaussians before the light, even once blocked."""
+    return settings.color_strength > 0.0 and settings.draws != DRAWS_SHARED
 
 
 @wp.func
@@ -177,19 +179,34 @@ def tint_of(gaussians: GaussianData, i: int) -> wp.vec3:
 
 
 @wp.func
-def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.vec3:
+def add_tint(tint: wp.vec4, alpha: float, color: wp.vec3) -> wp.vec4:
+    """Returns ``tint``, the sums of alpha times colour and of alpha, plus those of one more Gaussian."""
+    return tint + alpha * wp.vec4(color[0], color[1], color[2], 1.0)
+
+
+@wp.func
+def shadow_of(settings: ShadowData, transmittance: float, floor: float, tint: wp.vec4) -> wp.vec3:
     """Returns the visibility of a light, per channel, after Gaussians reduced it to ``transmittance``.
 
-    ``tint`` is the alpha-weighted sum of the Gaussians' linear colours; its scale is irrelevant.
+    ``floor`` is the result of ``shadow_floor``; ``tint`` holds the sums, over the Gaussians on the ray, of alpha times
+    linear colour and of alpha. See docs/method/shadows.md#threshold-and-tint.
     """
-    if transmittance <= wp.max(settings.transmittance_min, settings.threshold):
-        return wp.vec3(0.0)
-    bright = wp.min((transmittance - settings.threshold) / (1.0 - settings.threshold), 1.0)
+    if settings.draws == DRAWS_SHARED:
+        return wp.vec3(wp.where(transmittance > 0.0, 1.0, 0.0))
+    bright = wp.clamp((transmittance - settings.threshold) / (1.0 - settings.threshold), 0.0, 1.0)
+    passed = wp.where(transmittance > floor, bright, 0.0)
+    blocked = 1.0 - bright
+    if settings.draws == DRAWS_PER_RAY:
+        passed = wp.where(transmittance > floor, 1.0, 0.0)
+        blocked = 1.0 - passed
+    color = wp.vec3(tint[0], tint[1], tint[2])
+    largest = wp.max(color)
+    if settings.color_strength <= 0.0 or largest <= 0.0:
+        return wp.vec3(passed)
     share = wp.min(settings.color_strength * (1.0 - bright), 1.0)
-    largest = wp.max(tint)
-    if share <= 0.0 or largest <= 0.0:
-        return wp.vec3(bright)
-    return bright * wp.lerp(wp.vec3(1.0), tint / largest, share)
+    filtered = passed * wp.lerp(wp.vec3(1.0), color / largest, share)
+    glow = settings.color_strength / COLOR_STRENGTH_MAX * wp.min(color / tint[3], wp.vec3(1.0))
+    return filtered + blocked * glow
 
 
 # --- Shadows of a packet: attenuation by all Gaussians, or by the first hits only ---
@@ -204,8 +221,8 @@ class Absorption:
     floor: wp.array[float]
     """Transmittance at or below which each ray counts as blocked; FAR for unused lanes."""
     tint: wp.array(dtype=float, ndim=2)
-    """Sums of alpha times linear colour over the Gaussians that each ray hit: rows red, green, blue, one column for
-    each lane."""
+    """Sums over the Gaussians that each ray hit: rows red, green and blue of alpha times linear colour, and alpha; one
+    column for each lane."""
 
 
 @struct
@@ -231,7 +248,7 @@ def begin_absorption(absorption: Absorption, packet: PacketRays, config: ShadowD
         absorption.floor[lane] = FAR
         if is_taken:
             absorption.floor[lane] = shadow_floor(config, rays.pixel_key[first + lane], rays.sample[first + lane])
-        for k in range(3):
+        for k in range(4):
             absorption.tint[k, lane] = 0.0
 
 
@@ -283,15 +300,15 @@ def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
 def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], hit_list: HitList) -> wp.vec3:
     """Returns the visibility of a light, per channel, through the Gaussians whose hits are in ``hit_list``."""
     transmittance = float(1.0)
-    tint = wp.vec3()
+    tint = wp.vec4()
     for j in range(hit_list.head, hit_list.tail):
         alpha = hits[j].alpha
         transmittance = transmittance * (1.0 - alpha)
         if config.color_strength > 0.0:
             index = hits[j].index
             instance = scene.instances[instance_of(scene.instances, index)]
-            tint += alpha * tint_of(scene.assets[instance.asset].gaussians, index - instance.first)
-    return shadow_of(config, transmittance, tint)
+            tint = add_tint(tint, alpha, tint_of(scene.assets[instance.asset].gaussians, index - instance.first))
+    return shadow_of(config, transmittance, wp.max(config.transmittance_min, config.threshold), tint)
 
 
 class PacketAbsorption(NamedTuple):
@@ -316,7 +333,7 @@ class PacketFirstHits(NamedTuple):
 def packet_absorption_of(lanes: int) -> PacketAbsorption:
     """Builds types and functions for shadows by all Gaussians, for packets of up to ``lanes`` rays."""
     LANES = lanes
-    Floats, Vec3s = packet_of(lanes).floats, packet_of(lanes).vec3s
+    Floats, Vec4s = packet_of(lanes).floats, wp.types.matrix(shape=(4, lanes), dtype=wp.float32)
     hit_responses, alphas_at = packet_hits_of(lanes).hit_responses, packet_hits_of(lanes).alphas_at
     counted_hits = packet_hits_of(lanes).counted_hits
 
@@ -326,7 +343,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
 
         transmittance: Floats
         floor: Floats
-        tint: Vec3s
+        tint: Vec4s
 
     @wp.func
     def absorption_of(storage: wp.ref[AbsorptionStorage]) -> Absorption:
@@ -334,7 +351,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         absorption = Absorption()
         absorption.transmittance = wp.array(ptr=wp.address_of(storage.transmittance), shape=(LANES,), dtype=float)
         absorption.floor = wp.array(ptr=wp.address_of(storage.floor), shape=(LANES,), dtype=float)
-        absorption.tint = wp.array(ptr=wp.address_of(storage.tint), shape=(3, LANES), dtype=float)
+        absorption.tint = wp.array(ptr=wp.address_of(storage.tint), shape=(4, LANES), dtype=float)
         return absorption
 
     @wp.func
@@ -370,18 +387,20 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         if config.draws == DRAWS_PER_RAY:
             for lane in range(LANES):
                 alpha[lane] = lesser(alpha[lane] / config.acceptance_scale, 1.0)
+        lowest = wp.where(is_tinted(config), TINTED_TRANSMITTANCE_MIN, 0.0)
         for lane in range(LANES):
             alpha[lane] = wp.where(kind[lane] != HIT_NONE, alpha[lane], 0.0)
-            passed = absorption.transmittance[lane] * (1.0 - alpha[lane])
-            is_blocked = passed <= absorption.floor[lane]
+            passed = wp.max(absorption.transmittance[lane] * (1.0 - alpha[lane]), lowest)
+            is_blocked = passed <= absorption.floor[lane] and lowest <= 0.0
             absorption.transmittance[lane] = wp.where(is_blocked, 0.0, passed)
             packet.limit[lane] = wp.where(is_blocked, -FAR, packet.limit[lane])
             packet.t_max[lane] = wp.where(is_blocked, -FAR, packet.t_max[lane])
-        if config.color_strength > 0.0 and config.draws == DRAWS_NONE:
+        if is_tinted(config):
             color = tint_of(scene.assets[instance.asset].gaussians, particle.index)
             for lane in range(LANES):
                 for k in range(3):
                     absorption.tint[k, lane] = absorption.tint[k, lane] + alpha[lane] * color[k]
+                absorption.tint[3, lane] = absorption.tint[3, lane] + alpha[lane]
         return 1
 
     return PacketAbsorption(AbsorptionStorage, absorption_of, absorb)

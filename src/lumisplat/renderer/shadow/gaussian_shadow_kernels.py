@@ -44,13 +44,15 @@ from lumisplat.device.gaussian.particle import (
     world_ray,
 )
 from lumisplat.device.light.shadow_rays import (
+    TINTED_TRANSMITTANCE_MIN,
+    add_tint,
     begin_absorption,
     begin_first_hits,
     end_rays,
     farthest_reach,
+    is_tinted,
     packet_absorption_of,
     packet_first_hits_of,
-    passed_share,
     shadow_floor,
     shadow_key,
     shadow_of,
@@ -60,7 +62,6 @@ from lumisplat.device.light.shadow_rays import (
 from lumisplat.device.math.random import draw_stratified
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import (
-    DRAWS_NONE,
     DRAWS_PER_RAY,
     DRAWS_SHARED,
     FAR,
@@ -87,8 +88,8 @@ class RayAbsorption:
     """Product of 1 - alpha over the Gaussians hit so far; 0: the ray is blocked."""
     floor: float
     """Transmittance at or below which the ray counts as blocked, so that its traversal ends."""
-    tint: wp.vec3
-    """Linear colour times alpha, summed over the Gaussians hit so far; the sum tints coloured shadows."""
+    tint: wp.vec4
+    """Linear colour times alpha, and alpha, summed over the Gaussians hit so far; the sums tint coloured shadows."""
 
 
 @functools.cache
@@ -161,9 +162,10 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                     top = int(0)
             for lane in range(LANES):
                 if absorption.floor[lane] < FAR:
-                    tint = wp.vec3(absorption.tint[0, lane], absorption.tint[1, lane], absorption.tint[2, lane])
-                    passed = passed_share(config, absorption.transmittance[lane])
-                    shadow = shadow_of(config, passed, tint)
+                    tint = wp.vec4()
+                    for k in range(4):
+                        tint[k] = absorption.tint[k, lane]
+                    shadow = shadow_of(config, absorption.transmittance[lane], absorption.floor[lane], tint)
                     light_inout[first + lane] = wp.cw_mul(light_inout[first + lane], shadow)
 
     return shadow_by_all
@@ -302,9 +304,11 @@ def absorb_in_instance(
                 alpha = alpha_at(instance.kernel, particle, hit.distance2)
                 alpha = absorbed_share(alpha, instance.first + particle.index, config, key)
                 light.transmittance *= 1.0 - alpha
-                if config.color_strength > 0.0 and config.draws == DRAWS_NONE:
-                    light.tint += alpha * tint_of(scene.assets[instance.asset].gaussians, particle.index)
-                if light.transmittance <= light.floor:
+                if is_tinted(config):
+                    color = tint_of(scene.assets[instance.asset].gaussians, particle.index)
+                    light.tint = add_tint(light.tint, alpha, color)
+                    light.transmittance = wp.max(light.transmittance, TINTED_TRANSMITTANCE_MIN)
+                elif light.transmittance <= light.floor:
                     light.transmittance = 0.0
                     height = int(top)
 
@@ -343,5 +347,5 @@ def shadow_ray_by_ray(
             push_entered(stack, top, node, enter_tree(node, world, HIT_PEAK, end), end)
         elif scene.instances[~link].shadow_catcher == 0 or not skips[i]:
             absorb_in_instance(stack, top, i, ~link, end, config, scene, rays, light)
-    shadow = shadow_of(config, passed_share(config, light.transmittance), light.tint)
+    shadow = shadow_of(config, light.transmittance, light.floor, light.tint)
     light_inout[i] = wp.cw_mul(light_inout[i], shadow)
