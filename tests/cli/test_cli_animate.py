@@ -516,3 +516,59 @@ def test_checking_whether_a_video_can_be_written_leaves_no_file(work, monkeypatc
     work.path("folder.gif").mkdir()
     with pytest.raises(ls.FormatError, match="is a folder or a device"):
         check_video(work.path("folder.gif"), 10.0)
+
+
+PROGRAM = """
+from pathlib import Path
+import lumisplat as ls
+
+HERE = Path(__file__).parent
+ball = ls.load(HERE / "ball.ply")
+moved = ls.load_animation(HERE / "scene.toml")
+
+
+def animation():
+    calls = HERE / ("calls" + ".txt")  # written by the test: not a file of the scene
+
+    def roll(time):
+        with calls.open("a") as stream:
+            stream.write(f"{time:.1f} ")
+        return moved.actors[0].at(time)
+
+    return ls.Animation(
+        moved.scene, [ls.Actor(roll)], moved.cameras, fps=10.0, frame_count=4, lighting=moved.lighting
+    )
+"""
+
+
+def test_animate_renders_the_actor_that_a_program_computes_and_continues(work):
+    """Frames equal those of the scene file; a second run computes only the missing one, a changed program none."""
+    work.path("film.py").write_text(PROGRAM)
+    done = work.run("animate", "@film.py", "-o", "@frames")
+    assert (done.status, done.err) == (0, "")
+    assert animate(work, "expected").status == 0
+    assert frames(work, "frames") == frames(work, "expected")
+    assert work.path("calls.txt").read_text().split() == ["0.0", "0.1", "0.2", "0.3"]
+    work.path("frames/frame_0002.png").unlink()
+    assert work.run("animate", "@film.py", "-o", "@frames").status == 0
+    assert frames(work, "frames") == frames(work, "expected")
+    assert work.path("calls.txt").read_text().split()[4:] == ["0.0", "0.2"]
+    ls.save(work.path("ball.ply"), ls.load(work.path("ball.ply")).subset(slice(70)))
+    assert "ball.ply" in work.run("animate", "@film.py", "-o", "@frames").err
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("x = 1\n", "film.py: defines no `animation`"),
+        ("animation = 3\n", "film.py: `animation` is a int, expected an Animation"),
+        ("import math\n\nanimation = math.sqrt(-1)\n", "film.py: line 3: ValueError"),
+        ("animation = (\n", "film.py: line 1: SyntaxError"),
+    ],
+)
+def test_a_program_without_an_animation_gives_one_line(work, text, named):
+    """The line names the file and, where the program fails, its line."""
+    work.path("film.py").write_text(text)
+    for command in (("animate", "@film.py", "-o", "@frames"), ("view", "@film.py", "--no-browser")):
+        done = work.run(*command)
+        assert done.status == 2 and named in done.err and done.err.count("\n") == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.math.transforms import multiply_quaternions
 from lumisplat.scene.animation.actors import SEQUENCE_FRAMES_KEPT, GaussianSequence
 from support.scenes.raster_scenes import random_gaussians
 
@@ -29,8 +31,32 @@ def test_frames_of_a_sequence_are_sorted_by_number(tmp_path: Path) -> None:
     assert [sequence.at(k / 2.0).count for k in range(4)] == [4, 5, 6, 7]
 
 
-def test_sequence_of_captures_shows_each_frame_until_the_time_of_the_next(tmp_path: Path) -> None:
-    """Frames may differ in count, and are not interpolated."""
+def test_frames_that_correspond_are_interpolated_and_others_are_not(tmp_path: Path, caplog) -> None:
+    """Means are linear, scales geometric and rotations half-way; shuffled frames stay until the next, with a line."""
+    first = random_gaussians(0, count=200, degree=1)
+    turn = np.array([np.cos(0.2), 0.0, np.sin(0.2), 0.0])
+    rotations = [multiply_quaternions(turn, row[None])[0] for row in first.rotations_wxyz]
+    second = replace(
+        first,
+        means=first.means + np.array((0.01, 0.0, 0.02), np.float32),
+        rotations_wxyz=-np.array(rotations),  # of the other sign: the same rotations
+        scales=4.0 * first.scales,
+    )
+    shuffled = second.subset(np.random.default_rng(3).permutation(200))
+    for name, frame in (("a1.ply", first), ("a2.ply", second), ("a3.ply", shuffled)):
+        ls.save(tmp_path / name, frame)
+    sequence = ls.io.load_sequence(tmp_path, 10.0)
+    middle = sequence.at(0.05)
+    np.testing.assert_allclose(middle.means, first.means + np.array((0.005, 0.0, 0.01)), atol=1e-6)
+    np.testing.assert_allclose(middle.scales, 2.0 * first.scales, rtol=1e-5)
+    half = np.array([np.cos(0.1), 0.0, np.sin(0.1), 0.0])
+    expected = multiply_quaternions(half, first.rotations_wxyz)
+    np.testing.assert_allclose(np.abs(np.einsum("ni,ni->n", middle.rotations_wxyz, expected)), 1.0, atol=1e-5)
+    assert sequence.at(0.1) is sequence.at(0.15) and "different orders" in caplog.text
+
+
+def test_sequence_of_different_counts_shows_each_frame_until_the_time_of_the_next(tmp_path: Path) -> None:
+    """Frames may differ in count; they are then not interpolated."""
     write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
     sequence = ls.io.load_sequence(tmp_path, 10.0)
     for time, count in ((-1.0, 4), (0.0, 4), (0.099, 4), (0.1, 5), (0.15, 5), (0.2, 6), (50.0, 6)):

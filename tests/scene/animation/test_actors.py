@@ -125,3 +125,25 @@ def test_error_for_an_invalid_value_of_an_animation_names_the_setting(settings, 
     """The error names the setting in one line."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Animation(**{"scene": ls.Scene(), **settings})
+
+
+def test_a_function_of_time_is_an_actor_and_is_called_once_for_each_time():
+    """What the function returns is placed; a repeated time takes the last result."""
+    times: list[float] = []
+
+    def dance(time: float) -> list[object]:
+        times.append(time)
+        moved = replace(random_gaussians(1, count=3), means=np.full((3, 3), time))
+        return [moved, ls.MeshInstance(ls.box(1.0), ROTATION)]
+
+    actor = ls.Actor(dance, MOVE, speed=2.0)  # pyright: ignore[reportArgumentType]
+    splat, mesh = actor.at(0.5)
+    assert actor.at(0.5)[0].transform is not None and times == [1.0]
+    np.testing.assert_array_equal(expect_kind(ls.SplatInstance, splat).gaussians.means, 1.0)
+    np.testing.assert_allclose(mesh.transform, MOVE.at(0.5) @ ROTATION)
+
+
+def test_a_function_that_returns_something_else_is_refused_with_its_time():
+    """The message names the type and the time."""
+    with pytest.raises(ls.SceneError, match=r"returned a NoneType at 0\.5 s, expected Gaussians"):
+        ls.Actor(lambda time: None).at(0.5)  # pyright: ignore[reportArgumentType]

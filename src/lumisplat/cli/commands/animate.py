@@ -18,6 +18,7 @@ import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, make_frames
 from lumisplat.cli.input.loading import WITH_CAMERAS, file_fingerprints, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
+from lumisplat.cli.input.programs import PROGRAM, run_program
 from lumisplat.cli.options.command import LIGHTING, Flag, given_settings, own_options_first, setting
 from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import Report, found_light, print_stats, print_table, progress_bars
@@ -37,7 +38,7 @@ class Animate(FrameCommand):
     """
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE")]]
-    """Read a scene.toml, an OpenUSD file, or a glTF with an animation clip."""
+    """Read a scene.toml, OpenUSD, an animated glTF, or a Python file with an animation."""
     output: Annotated[
         Path | None,
         arg(aliases=("-o",), metavar="DIR", help_behavior_hint="(default: named after the video, or frames)"),
@@ -77,8 +78,8 @@ class Animate(FrameCommand):
         folder = FrameFolder.named_after(self.output, self.video, "frames", self.format, "animate.json")
         refuse_standard_output(folder.folder)
         suffix = self.scene.suffix.lower()
-        if suffix not in WITH_CAMERAS:
-            raise ls.FormatError(self.scene, "is no animated scene: expected a scene.toml, OpenUSD or glTF")
+        if suffix not in (*WITH_CAMERAS, PROGRAM):
+            raise ls.FormatError(self.scene, "is no animated scene: expected a scene.toml, OpenUSD, glTF or .py")
         if self.video is not None and self.format != "png":
             raise ls.ConfigError(f"--video needs frames as png, but --format is {self.format}")
         config = self.frame_config(scene_settings(self.scene if suffix == ".toml" else None))
@@ -104,12 +105,15 @@ class Animate(FrameCommand):
     def _animation(self, environment: ls.LightEnvironment | None, report: Report) -> ls.Animation:
         """Loads the animation of the scene file; options change its environment, up direction, actor light and rate."""
         report(f"loading {self.scene.name}", 0.0)
-        animation = ls.load_animation(
-            self.scene,
-            drop_invalid=self.drop_invalid,
-            crease_angle=self.crease_radians,
-            allow_outside=self.allow_outside,
-        )
+        if self.scene.suffix.lower() == PROGRAM:
+            animation = run_program(self.scene)
+        else:
+            animation = ls.load_animation(
+                self.scene,
+                drop_invalid=self.drop_invalid,
+                crease_angle=self.crease_radians,
+                allow_outside=self.allow_outside,
+            )
         lit = self.light.lit_scene(self.viewpoint.upright(animation.scene), environment)
         animation = replace(animation, scene=lit, lighting=self.changed(animation.lighting, LIGHTING))
         report(f"loading {self.scene.name}", 1.0)
@@ -118,7 +122,10 @@ class Animate(FrameCommand):
     def _cameras(self, animation: ls.Animation) -> list[ls.Camera]:
         """Returns a camera for each frame: of ``--camera-path``, a camera file, the scene file or viewpoint options."""
         count, source = animation.frame_count, self.cameras or self.scene
-        cameras = self.load_cameras(self.cameras, self.scene)
+        is_program = self.scene.suffix.lower() == PROGRAM
+        cameras = self.load_cameras(self.cameras, None if is_program else self.scene)
+        if is_program and not (self.cameras or self.viewpoint.is_given):
+            cameras = [self.light.exposed(camera.scaled(self.width, self.height)) for camera in animation.cameras]
         if self.camera is not None:
             named = [camera for camera in cameras if camera.name == self.camera]
             if not named:

@@ -11,6 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
+from lumisplat.cli.input.programs import PROGRAM, run_program
 from lumisplat.cli.options.camera import UpOption, parse_up
 from lumisplat.cli.options.command import (
     DeviceCommand,
@@ -37,7 +38,7 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Read captures, meshes, glTF, OpenUSD, or a scene.toml; several make one scene."""
+    """Read captures, meshes, glTF, OpenUSD, a scene.toml, or a Python file with an animation."""
     port: Annotated[int, arg(metavar="N")] = _PORT
     """Listen on this port; 0 chooses a free one."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
@@ -59,12 +60,15 @@ class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
         """Serves the page until interrupted."""
         if not self.scene:
             raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
+        programs = [path for path in self.scene if path.suffix.lower() == PROGRAM]
+        if programs and len(self.scene) > 1:
+            raise ls.ConfigError(f"{programs[0]} is a program, which is a scene of its own: view it alone")
         self.check_levels(self.scene)
         self._config(ls.RenderConfig())  # mistakes in --set are found before the page opens
         levels = self.levels
         self.quiet_warp()
         viewer = ls.view(
-            list(self.scene),
+            run_program(programs[0]) if programs else list(self.scene),
             config=self._config,
             port=self.port,
             host=self.host,

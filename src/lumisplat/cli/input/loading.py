@@ -19,6 +19,7 @@ from typing import Any, cast
 from urllib.parse import unquote
 
 import lumisplat as ls
+from lumisplat.cli.input.programs import program_texts
 
 _log = logging.getLogger("lumisplat")
 
@@ -342,6 +343,9 @@ def _texts(path: Path) -> Iterator[str]:
         with path.open("rb") as stream:
             is_binary = stream.read(8) == b"PXR-USDC"
         yield from _usd_references(path) if is_binary else _USDA_REFERENCE.findall(path.read_text(errors="replace"))
+    elif suffix == ".py":
+        with suppress(SyntaxError):  # reported when the program runs
+            yield from program_texts(path)
     elif suffix in (".obj", ".mtl"):
         with path.open("rb") as stream:
             yield from _OBJ_REFERENCE.findall(stream.read(_OBJ_HEAD).decode(errors="replace"))

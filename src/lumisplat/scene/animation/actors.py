@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, TypeVar, cast, get_args
+from typing import Annotated, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,7 @@ from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
 from lumisplat.scene.animation.camera_path import CameraPath
+from lumisplat.scene.animation.correspondence import correspond, interpolated
 from lumisplat.scene.animation.keyframes import Keyframes, check_time
 from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians
@@ -26,6 +28,8 @@ from lumisplat.scene.checks import check_kind, items_of, take_scene_fields
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
+
+_log = logging.getLogger("lumisplat")
 
 SEQUENCE_TIME_SLACK = 1e-6
 """A time at most this much, in frames, before the time of a frame already shows that frame: rounding makes k / fps *
@@ -39,9 +43,9 @@ SEQUENCE_FRAMES_KEPT = 2
 class GaussianSequence:
     """Frames of Gaussians at a constant rate, each loaded when first needed; made by `load_sequence`.
 
-    A frame is returned unchanged until the time of the next frame. Frames are not interpolated, because files reorder
-    Gaussians and their counts may differ, so that Gaussians of two frames do not correspond. The last few frames are
-    cached.
+    Between two frames with the same Gaussians in the same order, Gaussians are interpolated. Some writers reorder
+    Gaussians, and counts may differ: a frame is then returned unchanged until the time of the next one, and a log line
+    says so once. The last few frames are cached.
 
     Raises:
         SceneError: There are no frames, or ``fps`` is not a positive number.
@@ -55,6 +59,8 @@ class GaussianSequence:
     """Function that reads the Gaussians of one frame from its file."""
     _cache: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict[int, Gaussians], init=False)
     """Last used frames, at most `SEQUENCE_FRAMES_KEPT`, by frame number; the most recently used one is last."""
+    _notes: list[str] = field(default_factory=list[str], init=False)
+    """Log lines about the sequence that were written."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paths", tuple(self.paths))
@@ -76,7 +82,7 @@ class GaussianSequence:
         return self.frame_count / self.fps
 
     def at(self, time: float) -> Gaussians:
-        """Returns the frame shown at a time: the first frame before the sequence begins, the last frame after its end.
+        """Returns the Gaussians at a time: the first frame before the sequence begins, the last frame after its end.
 
         Args:
             time: Seconds since the sequence began.
@@ -86,8 +92,25 @@ class GaussianSequence:
             FormatError: The frame's file cannot be read; the message names the file.
         """
         check_time(time)
+        position = float(np.clip(time * self.fps, 0.0, self.frame_count - 1))
         # Rounding may put a multiple of 1 / fps just before the frame that begins there.
-        index = int(np.clip(np.floor(time * self.fps + SEQUENCE_TIME_SLACK), 0, self.frame_count - 1))
+        index = int(np.floor(position + SEQUENCE_TIME_SLACK))
+        share = position - index
+        if share <= SEQUENCE_TIME_SLACK:
+            return self._frame(index)
+        first, second = self._frame(index), self._frame(index + 1)
+        if correspond(first, second):
+            return interpolated(first, second, share)
+        if first.count == second.count and not self._notes:
+            self._notes.append(
+                f"frames in {self.paths[0].parent} hold their Gaussians in different orders, so that nothing can be "
+                "interpolated: each frame is shown until the next one"
+            )
+            _log.warning("%s", self._notes[0])
+        return first
+
+    def _frame(self, index: int) -> Gaussians:
+        """Returns a frame of the sequence by its number, from the cache or its file."""
         if index not in self._cache:
             self._cache[index] = self.load(self.paths[index])
             while len(self._cache) > SEQUENCE_FRAMES_KEPT:
@@ -100,12 +123,21 @@ Instances = tuple[SplatInstance | MeshInstance, ...]
 Instance = SplatInstance | MeshInstance
 
 
+Content = Gaussians | Mesh | Instance | Scene
+"""Types of the objects that a function of time may return to an `Actor`; a `Scene` stands for its captures and meshes.
+"""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Deforming:
-    """A deforming mesh or capture that is read from its file for each time; made by `load_animation`."""
+    """A subject that is computed or read from its file for each time: of `load_animation`, or a function of a program.
 
-    read: Callable[[float], Instances]
-    """Function that returns the capture's or mesh's placed instances at a time in seconds."""
+    The result of the last time is cached.
+    """
+
+    read: Callable[[float], Content | Iterable[Content]]
+    """Function that returns Gaussians, a mesh, an instance of one, a scene, or a list of these, at a time in seconds.
+    """
     _shown: dict[float, Instances] = field(default_factory=dict[float, Instances], init=False)
     """The last time that `at` was given, seconds, and its instances: a cache of at most one entry."""
 
@@ -113,28 +145,71 @@ class Deforming:
         """Returns the instances at a time in seconds; repeated calls for the same time return the same objects.
 
         Raises:
-            SceneError: The time is not finite.
+            SceneError: The time is not finite, or the function returns something else than `read` says.
             FormatError: The file cannot be read.
         """
         check_time(time)
         shown = self._shown.get(time)
         if shown is None:
-            shown = self.read(time)
+            shown = _instances(self.read(time), time)
             self._shown.clear()
             self._shown[time] = shown
         return shown
 
 
-Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
-"""Types that an actor may show. A `Scene` shows its captures and meshes; a `Deforming` shows the instances that it
-reads for the current time.
+def _instances(content: object, time: float) -> Instances:
+    """Returns what a function of time returned as instances.
+
+    Raises:
+        SceneError: It is not of the types of `Content`; the message names the time.
+    """
+    items = [content] if isinstance(content, Content) else content
+    if not isinstance(items, Iterable):
+        items = [content]
+    found: list[Instance] = []
+    for item in cast("Iterable[object]", items):
+        match item:
+            case Scene():
+                found += (*item.splats, *item.meshes)
+            case Gaussians():
+                found.append(SplatInstance(item))
+            case Mesh():
+                found.append(MeshInstance(item))
+            case SplatInstance() | MeshInstance():
+                found.append(item)
+            case _:
+                raise SceneError(
+                    f"the actor's function returned a {type(item).__name__} at {time:g} s, expected Gaussians, a Mesh, "
+                    "an instance of one, a Scene, or a list of these"
+                )
+    return tuple(found)
+
+
+Subject = (
+    Gaussians
+    | GaussianSequence
+    | RiggedGaussians
+    | Mesh
+    | Rig
+    | Scene
+    | Deforming
+    | Callable[[float], Content | Iterable[Content]]
+)
+"""Types that an actor may show. A `Scene` shows its captures and meshes; a function returns what to show at a time in
+seconds.
 """
+_KINDS = (Gaussians, GaussianSequence, RiggedGaussians, Mesh, Rig, Scene, Deforming)
 _Item = TypeVar("_Item")
 
 
 @frozen
 class Actor:
     """A subject that moves through a scene by keyframes, and may itself play a clip or a sequence of frames.
+
+    Any function of time is a subject, too: ``Actor(dance)``, where ``dance(seconds)`` returns Gaussians, a mesh, an
+    instance of one, a scene, or a list of these. It is called once for each frame; only its last result is cached, so
+    it may return millions of Gaussians. It should depend on the time alone, so that frames can be rendered in any
+    order. Where it returns as many Gaussians as the frame before, in the same order, their normals are carried on.
 
     The subject is placed by ``world_from_object``, then moved by ``motion``: the pose at a time is
     ``motion.at(time) @ world_from_object``.
@@ -166,8 +241,12 @@ class Actor:
     """Playback speed of the clip or file sequence: its seconds per second of the animation; 0 holds the first pose."""
 
     def __post_init__(self) -> None:
-        subjects = "Gaussians, a GaussianSequence, RiggedGaussians, a Mesh, a Rig or a Scene"
-        check_kind("an actor", self.subject, get_args(Subject), subjects)
+        subjects = "Gaussians, a GaussianSequence, RiggedGaussians, a Mesh, a Rig, a Scene or a function of time"
+        if callable(self.subject):
+            object.__setattr__(self, "subject", Deforming(self.subject))
+        check_kind("an actor", self.subject, _KINDS, subjects)
+        if isinstance(self.subject, Rig) and not self.subject.surfaces:
+            raise SceneError("the rig has no meshes to show: bind Gaussians to it by bind_gaussians")
         if self.motion is not None:
             check_kind("motion", self.motion, Keyframes, "Keyframes")
         take_scene_fields(self)
@@ -215,8 +294,8 @@ class Actor:
                 gaussians = rigged.at(own, self.clip)
             case GaussianSequence() as sequence:
                 gaussians = sequence.at(own)
-            case Gaussians() as gaussians:
-                pass
+            case _:
+                gaussians = cast("Gaussians", self.subject)
         return (SplatInstance(gaussians, world, name=self.name),)
 
     def _placed(self, instances: tuple[Instance, ...], world: npt.NDArray[np.float64]) -> tuple[Instance, ...]:
