@@ -109,6 +109,31 @@ def test_scene_file_texture_on_a_mesh_without_uvs_is_dropped(tmp_path: Path, cap
     assert ["the texture of 'wood' is left out" in record.getMessage() for record in caplog.records] == [True]
 
 
+@pytest.mark.parametrize(
+    ("material", "line"),
+    [
+        (
+            "emissive = [255, 200, 10]",
+            "emissive is [255, 200, 10], where 1 is white: if it was meant as 0..255, write ",
+        ),
+        ("type = 'simple'\nambient = 64", "ambient is [64, 64, 64], where 1 is white"),
+        ("emissive = [300, 200, 10]", None),
+        ("emissive = [20.5, 20, 10]", None),
+        ("emissive = 12", None),
+    ],
+)
+def test_emission_that_looks_like_eight_bits_is_asked_about_in_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, material: str, line: str | None
+) -> None:
+    """The scene keeps the value; strengths of lights and other numbers above 1 are taken without a line."""
+    write_obj(tmp_path)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        load_scene(tmp_path, f'[[meshes]]\npath = "quad.obj"\nmaterial = "glow"\n[materials.glow]\n{material}\n')
+    told = [record.getMessage() for record in caplog.records]
+    assert [line in one and "materials.glow" in one for one in told if line] == [True] * (line is not None)
+    assert len(told) == (line is not None)
+
+
 MESH = "[[meshes]]\npath = 'a.obj'\n"
 
 

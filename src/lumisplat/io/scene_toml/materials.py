@@ -12,16 +12,25 @@ material = "varnish"                # or { roughness = 0.2 }
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from lumisplat.errors import SceneError
 from lumisplat.io.images.texture import read_texture
 from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, is_object, schema, suggestion
-from lumisplat.scene.materials import MESH_COLOR, Material, MaterialPbr, MaterialSimple
+from lumisplat.math.color import decode_srgb
+from lumisplat.scene.materials import MESH_COLOR, Color, Material, MaterialPbr, MaterialSimple
+
+_log = logging.getLogger("lumisplat")
 
 MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
 """Material classes by their ``type`` in a scene file."""
+EIGHT_BIT_ABOVE = 16.0
+"""Emission whose largest channel is a whole number above this, up to 255, is asked about: it looks like an 8-bit
+colour. Whole numbers up to 16 are usual strengths of lights."""
 _SHARED = ("base_color_texture", "name")
 """Fields, beside the base colour, that `MaterialPbr` and `MaterialSimple` have in common.
 
@@ -81,10 +90,22 @@ def _read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
         if key.endswith("_texture"):
             values[key] = read_texture(table.file(key), table.textures)
     try:
-        kind(**values)
+        material = kind(**values)
     except SceneError as error:
         raise table.failed(error) from None
+    for key in ("emissive", "ambient"):
+        if key in values and (line := _eight_bit_remark(key, getattr(material, key))):
+            _log.warning("%s", table.error(line, key))
     return MaterialTable(kind, values)
+
+
+def _eight_bit_remark(key: str, color: Color) -> str | None:
+    """Returns the question whether a factor was meant as 0..255, or None if it does not look so."""
+    if not EIGHT_BIT_ABOVE < max(color) <= 255.0 or any(channel % 1.0 for channel in color):
+        return None
+    linear = ", ".join(f"{channel:.3g}" for channel in decode_srgb(np.array(color) / 255.0))
+    given = ", ".join(f"{channel:g}" for channel in color)
+    return f"{key} is [{given}], where 1 is white: if it was meant as 0..255, write [{linear}], which is linear"
 
 
 def entry_material(entry: TomlTable, named: Mapping[str, MaterialTable]) -> MaterialTable | None:
