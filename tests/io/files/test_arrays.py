@@ -68,7 +68,7 @@ def test_invalid_npz_archives_are_refused_with_a_one_line_error(
     tmp_path: Path, members: list[tuple[str, bytes]]
 ) -> None:
     """False headers, pickled objects that would run code, and other files are refused."""
-    with pytest.raises(ls.FormatError, match=f"a.npz: is damaged, or not {KIND}$"):
+    with pytest.raises(ls.FormatError, match=f"a.npz: (is damaged, or not {KIND}$|a holds Python objects)"):
         read_arrays(archive(tmp_path / "a.npz", *members), KIND)
 
 

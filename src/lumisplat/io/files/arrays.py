@@ -6,7 +6,7 @@ import math
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,14 +22,17 @@ _UNREADABLE = (ValueError, LookupError, TypeError, ArithmeticError, RuntimeError
 """Exceptions, besides those of zipfile and zlib, that NumPy and zipfile raise for damaged archives."""
 
 
-def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[str, npt.NDArray[Any]]:
-    """Reads all arrays of an archive.
+def read_arrays(
+    path: PathLike, kind: str, *, compressed: bool = False, names: Collection[str] | None = None
+) -> dict[str, npt.NDArray[Any]]:
+    """Reads the arrays of an archive.
 
     Args:
         path: The file.
         kind: The expected kind of file for messages, such as ``"a checkpoint of a training"``.
         compressed: Whether arrays may be compressed, as by `numpy.savez_compressed`. Otherwise the arrays take no more
             memory than the file has bytes.
+        names: Names of the arrays to read, if the archive holds them; others may hold anything. None reads all.
 
     Raises:
         FormatError: The file cannot be read, or is a folder, a device or a pipe. Or the file is no NumPy archive, holds
@@ -39,7 +42,9 @@ def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[
     try:
         with readable(path), opened(path, largest=math.inf) as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
-            sizes = [_array_bytes(archive, member, compressed) for member in members]
+            if names is not None:
+                members = [member for member in members if member.filename.removesuffix(".npy") in names]
+            sizes = [_array_bytes(path, archive, member, compressed) for member in members]
             if len({member.filename for member in members}) < len(members):
                 raise ValueError("two arrays of one name")
             stored = os.fstat(file.fileno()).st_size
@@ -80,21 +85,29 @@ def checked_array(
     return values
 
 
-def _array_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: bool) -> int:
+def _array_bytes(path: PathLike, archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: bool) -> int:
     """Returns how many bytes of memory one array of an archive will take, computed from its header before reading.
 
     Raises:
-        ValueError: The member is no array file, is compressed although ``compressed`` is False, holds objects, or has
-            another size than its header states.
+        FormatError: The member holds Python objects; ``path`` is the archive.
+        ValueError: The member is no array file, is compressed although ``compressed`` is False, or has another size
+            than its header states.
     """
     methods = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) if compressed else (zipfile.ZIP_STORED,)
     if member.compress_type not in methods or not member.filename.endswith(".npy"):
         raise ValueError("not what NumPy writes")
     with archive.open(member) as stream:
         shape, dtype, header = _header(stream)
+    if dtype.hasobject:
+        name = member.filename.removesuffix(".npy")
+        raise FormatError(
+            path,
+            f"{name} holds Python objects, which are not read: save it as an array of numbers "
+            f"(a sparse matrix: {name}.item().toarray())",
+        )
     size = math.prod(shape) * dtype.itemsize
-    if dtype.hasobject or min(shape, default=0) < 0 or header + size != member.file_size:
-        raise ValueError("objects, or a size that is not that of the array")
+    if min(shape, default=0) < 0 or header + size != member.file_size:
+        raise ValueError("a size that is not that of the array")
     return size
 
 
