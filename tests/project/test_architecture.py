@@ -53,6 +53,7 @@ LAYERS = (
     "io.splats",
     "io.meshes",
     "io.gltf",
+    "io.rigs",
     "io.usd",
     "io.scene_toml",
     "io",

@@ -122,6 +122,8 @@ class Skeleton:
     matrices: Mapping[int, Doubles]
     """Matrices ``parent_from_node`` by node index, only of nodes that a file gives as a matrix instead of translation,
     rotation and scale; clips do not move these nodes."""
+    names: tuple[str, ...] = ()
+    """Name of each of the N nodes, by which motion of other files is matched; empty if nodes have no names."""
 
     def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> Doubles:
         """Returns the transforms of all N nodes to world space, shape (N, 4, 4).

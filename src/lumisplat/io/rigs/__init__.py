@@ -1,0 +1,1 @@
+"""Readers of body models (SMPL) and of motion (AMASS, BVH)."""

@@ -1,0 +1,285 @@
+"""Moves a clip from one human skeleton to another, whose joints have other names, axes, lengths and rest poses.
+
+Joints are matched by names of known programs. A joint of the target has the world rotation of its match relative to a
+reference pose of the source, applied to the target's rest pose, which is first aligned with that reference: the figure
+faces the same way, and upper arms, forearms, thighs, shins and fingers point the same way. So a T-pose may drive an
+A-pose. The middle of the hips moves as in the source, scaled by the length of the legs.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles
+from lumisplat.math.transforms import (
+    axis_rotation,
+    matrices_from_quaternions,
+    quaternions_from_matrices,
+    rotation_between,
+    transform_points,
+)
+from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Rig, Skeleton, Track
+
+_SIDES = ("left", "right")
+_LIMBS = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
+"""Joints of a side, by their names in SMPL."""
+_STYLES = (
+    # of SMPL, and of Biovision's first files
+    ("{side}{limb}", _LIMBS),
+    # of Mixamo, MotionBuilder, Rokoko, CMU and LAFAN1
+    ("{side}{limb}", ("shoulder", "arm", "forearm", "hand", "upleg", "leg", "foot", "toebase|toe")),
+    # of Biovision's later files
+    ("{side}{limb}", ("collar", "uparm", "lowarm", "hand", "upleg", "lowleg", "foot", "toe")),
+    # of VRM and Unity
+    ("{side}{limb}", ("shoulder", "upperarm", "lowerarm", "hand", "upperleg", "lowerleg", "foot", "toes")),
+    # of Poser and DAZ
+    ("{initial}{limb}", ("collar", "shldr", "forearm", "hand", "thigh", "shin", "foot", "toe")),
+    # of Unreal and Blender
+    (
+        "{limb}{initial}",
+        ("clavicle|shoulder", "upperarm", "lowerarm|forearm", "hand", "thigh", "calf|shin", "foot", "ball|toe"),
+    ),
+)
+"""Joint names in other programs, in lower case without punctuation; a bar separates alternatives."""
+_CENTRE = {"pelvis": "hips|hip|pelvis", "neck": "neck|neck01", "head": "head"}
+_SPINE = re.compile(r"lowerback|abdomen|torso|chest\d*|upperchest|spine\d*")
+_PREFIX = re.compile(r".*:|^mixamorig\d*")
+_FINGER = re.compile(r"(left|right)(?:hand)?(index|middle|pinky|ring|thumb)([123])")
+_BONES = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
+_LEGS = tuple(f"{side}_{limb}" for side in _SIDES for limb in ("hip", "knee", "ankle"))
+_STANDING_MIN = 0.5
+"""A skeleton stands at rest if its legs point down with at least this cosine."""
+_STEP = 1.0 / 30.0
+"""Time between further keys, seconds, of clips with gaps of twice that: world rotations interpolate otherwise."""
+
+
+def human_joints(skeleton: Skeleton) -> dict[str, int]:
+    """Returns the nodes of a skeleton that are known as joints of a human, by their names in SMPL.
+
+    Nodes with other names are returned, too, by their own names in lower case without prefix and punctuation.
+    """
+    plain = {node: _plain(skeleton.names[node]) for node in skeleton.order if skeleton.names and skeleton.names[node]}
+    known = max((_known(style, plain.values()) for style in _STYLES), key=len)
+    found: dict[str, int] = {}
+    spine: list[int] = []
+    for node, name in plain.items():
+        finger = _FINGER.fullmatch(name)
+        if _SPINE.fullmatch(name):
+            spine.append(node)
+        else:
+            found.setdefault("{}_{}{}".format(*finger.groups()) if finger else known.get(name, name), node)
+    # The lowest joints of the spine, and the one that carries the arms.
+    found |= dict(zip(("spine1", "spine2", "spine3"), [*spine[:2], *spine[2:][-1:]], strict=False))
+    return found
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", _PREFIX.sub("", name.lower()))
+
+
+def _known(style: tuple[str, Sequence[str]], names: Iterable[str]) -> dict[str, str]:
+    """Returns the SMPL name of each of the names that a style of naming knows."""
+    pattern, limbs = style
+    table = {name: joint for joint, choices in _CENTRE.items() for name in choices.split("|")}
+    for joint, choices in zip(_LIMBS, limbs, strict=True):
+        for limb in choices.split("|"):
+            for side in _SIDES:
+                table[pattern.format(side=side, initial=side[0], limb=limb)] = f"{side}_{joint}"
+    return {name: table[name] for name in names if name in table}
+
+
+class Retargeted(NamedTuple):
+    """A clip for the target, and what was not matched."""
+
+    clip: Clip
+    unmatched: list[str]
+    """Names of animated source joints that move nothing."""
+    resting: list[str]
+    """Names of the target's joints that keep their rest pose."""
+    from_first_frame: bool
+    """Whether the reference pose is the first frame, because the source does not stand at rest."""
+
+
+@dataclass(slots=True)
+class _Motion:
+    """World transforms of a skeleton's nodes at T times, computed when they are asked for."""
+
+    skeleton: Skeleton
+    tracks: dict[tuple[int, Channel], Track]
+    times: Doubles
+    _worlds: dict[int, Doubles] = field(default_factory=dict[int, Doubles])
+
+    def world(self, node: int) -> Doubles:
+        """Returns ``world_from_node`` at each time, shape (T, 4, 4)."""
+        if node not in self._worlds:
+            parent = self.skeleton.parents[node]
+            local = self._local(node)
+            self._worlds[node] = local if parent is None else self.world(parent) @ local
+        return self._worlds[node]
+
+    def _local(self, node: int) -> Doubles:
+        rest = self.skeleton
+        local = np.tile(np.eye(4), (len(self.times), 1, 1))
+        if node in rest.matrices:
+            return local @ rest.matrices[node]
+        rotations = matrices_from_quaternions(self._values(node, Channel.ROTATION, rest.rotations_wxyz))
+        local[:, :3, :3] = rotations * self._values(node, Channel.SCALE, rest.scales)[:, None, :]
+        local[:, :3, 3] = self._values(node, Channel.TRANSLATION, rest.translations)
+        return local
+
+    def _values(self, node: int, channel: Channel, rest: Doubles) -> Doubles:
+        track = self.tracks.get((node, channel))
+        if track is None:
+            return np.tile(rest[node], (len(self.times), 1))
+        if np.array_equal(track.times, self.times):
+            return track.values
+        return np.array([track.at(float(time)) for time in self.times])
+
+
+def retarget(source: Skeleton, clip: Clip, rig: Rig) -> Retargeted:
+    """Returns a clip that moves a human rig as another skeleton.
+
+    Args:
+        source: Skeleton of the clip, y up.
+        clip: Rotations of its joints, and translations of its hips.
+        rig: Rig to move, y up.
+
+    Raises:
+        SceneError: One of the skeletons has no hips or legs of known names; the message lists what it lacks.
+    """
+    target = rig.skeleton
+    skinned = {int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes}
+    movable = skinned.difference(target.matrices)
+    theirs, ours = human_joints(source), {k: node for k, node in human_joints(target).items() if node in movable}
+    for names, owner in ((theirs, "the motion"), (ours, "the rig")):
+        lacking = [name for name in ("pelvis", *_LEGS) if name not in names]
+        if lacking:
+            raise SceneError(
+                f"{owner} has no joint known as {', '.join(lacking)}: rename its joints as in SMPL, Mixamo, "
+                "MotionBuilder, VRM, Poser or Unreal"
+            )
+    times = np.unique(np.concatenate([track.times for track in clip.tracks] or [np.zeros(1)]))
+    if times.size > 1 and np.diff(times).max() > 2.0 * _STEP:
+        times = np.unique(np.concatenate([times, np.arange(times[0], times[-1], _STEP)]))
+    motion = _Motion(source, {(track.node, track.channel): track for track in clip.tracks}, times)
+    animated = {track.node for track in clip.tracks if track.channel is Channel.ROTATION}
+    matched = {name: node for name, node in theirs.items() if name in ours}
+    rest = source.world_from_node()
+    is_standing = _stands(rest, theirs)
+    reference = rest if is_standing else np.stack([motion.world(node)[0] for node in range(len(rest))])
+    return Retargeted(
+        Clip(clip.name, tuple(_tracks(motion, matched, reference, target, ours))),
+        sorted({source.names[node] for node in animated} - {source.names[node] for node in matched.values()}),
+        sorted(target.names[node] for name, node in ours.items() if name not in theirs),
+        not is_standing,
+    )
+
+
+def _stands(world: Doubles, joints: dict[str, int]) -> bool:
+    legs = [world[joints[f"{side}_ankle"], :3, 3] - world[joints[f"{side}_hip"], :3, 3] for side in _SIDES]
+    return all(-leg[1] >= _STANDING_MIN * np.linalg.norm(leg) for leg in legs)
+
+
+def _tracks(
+    motion: _Motion, matched: dict[str, int], reference: Doubles, target: Skeleton, ours: dict[str, int]
+) -> list[Track]:
+    """Returns tracks of the target's joints, from world rotations of the matched source joints.
+
+    Args:
+        motion: The source at T times.
+        matched: Nodes of the source by joint, only joints that the target has.
+        reference: ``world_from_node`` of the source in its reference pose, shape (N, 4, 4).
+        target: Skeleton to move.
+        ours: Nodes of the target by joint.
+    """
+    rest = target.world_from_node()
+    rest_rotations, reference_rotations = _rotations(rest), _rotations(reference)
+    facing = _turn_about_y(_leftwards(rest, ours), _leftwards(reference, matched))
+    joints = {ours[joint]: joint for joint in matched}
+    worlds: dict[int, Doubles] = {}
+    aligned: dict[int, Doubles] = {}
+    tracks: list[Track] = []
+    for node in target.order:
+        parent = target.parents[node]
+        above = np.eye(3)[None] if parent is None else worlds[parent]
+        rest_above = np.eye(3) if parent is None else rest_rotations[parent]
+        aligned[node] = facing if parent is None else aligned[parent]
+        if node not in joints:
+            worlds[node] = above @ (rest_above.T @ rest_rotations[node])
+            continue
+        joint = joints[node]
+        aligned[node] = _alignment(joint, aligned[node], facing, (rest, ours), (reference, matched))
+        theirs = matched[joint]
+        turns = _rotations(motion.world(theirs)) @ reference_rotations[theirs].T
+        worlds[node] = turns @ aligned[node] @ rest_rotations[node]
+        local = np.swapaxes(above, 1, 2) @ worlds[node]
+        keys = np.asarray(quaternions_from_matrices(local), np.float64)
+        tracks.append(Track(node, Channel.ROTATION, Interpolation.LINEAR, motion.times, keys))
+    pelvis = ours["pelvis"]
+    scale = _leg_length(rest, ours) / _leg_length(reference, matched)
+    left, right = (motion.world(matched[f"{side}_hip"])[:, :3, 3] for side in _SIDES)
+    turned = worlds[pelvis] @ rest_rotations[pelvis].T
+    positions = scale * (left + right) / 2.0 - turned @ (_hips(rest, ours) - rest[pelvis, :3, 3])
+    parent = target.parents[pelvis]
+    if parent is not None:
+        parent_from_world: Doubles = np.linalg.inv(rest)[parent]
+        positions = transform_points(parent_from_world, positions)
+    tracks.append(Track(pelvis, Channel.TRANSLATION, Interpolation.LINEAR, motion.times, positions))
+    return tracks
+
+
+_Posed = tuple[Doubles, dict[str, int]]
+"""``world_from_node`` of a pose, shape (N, 4, 4), and the nodes by joint."""
+
+
+def _alignment(joint: str, inherited: Doubles, facing: Doubles, ours: _Posed, theirs: _Posed) -> Doubles:
+    """Returns the world rotation that aligns a joint of the target at rest with the source's reference, shape (3, 3).
+
+    Bones of limbs get the smallest rotation, after that of their parent, to the direction of the source. Feet keep the
+    angle to the ground of the target's rest pose. Other joints are aligned as their parents.
+    """
+    side, _, limb = joint.rpartition("_")
+    if limb in ("ankle", "foot"):
+        return facing
+    is_finger = limb[-1:] in ("1", "2") and side in _SIDES
+    end = f"{side}_{limb[:-1]}{int(limb[-1]) + 1}" if is_finger else f"{side}_{_BONES.get(limb)}"
+    if end not in theirs[1] or end not in ours[1]:
+        return inherited
+    ends = [world[nodes[end], :3, 3] - world[nodes[joint], :3, 3] for world, nodes in (ours, theirs)]
+    lengths = [float(np.linalg.norm(bone)) for bone in ends]
+    if min(lengths) == 0.0:
+        return inherited
+    return rotation_between(inherited @ ends[0] / lengths[0], ends[1] / lengths[1]) @ inherited
+
+
+def _rotations(matrices: Doubles) -> Doubles:
+    """Returns the rotations of N transforms with uniform scales, shape (N, 3, 3)."""
+    linear = matrices[:, :3, :3]
+    return linear / np.linalg.norm(linear, axis=1, keepdims=True)
+
+
+def _leftwards(world: Doubles, joints: dict[str, int]) -> Doubles:
+    return world[joints["left_hip"], :3, 3] - world[joints["right_hip"], :3, 3]
+
+
+def _hips(world: Doubles, joints: dict[str, int]) -> Doubles:
+    return (world[joints["left_hip"], :3, 3] + world[joints["right_hip"], :3, 3]) / 2.0
+
+
+def _turn_about_y(start: Doubles, end: Doubles) -> Doubles:
+    """Returns the rotation about y, shape (3, 3), between the horizontal parts of two directions."""
+    across = start[2] * end[0] - start[0] * end[2]
+    return axis_rotation((0.0, 1.0, 0.0), math.atan2(across, start[0] * end[0] + start[2] * end[2]))
+
+
+def _leg_length(world: Doubles, joints: dict[str, int]) -> float:
+    """Returns the mean length of thigh plus shin."""
+    points = [[world[joints[f"{side}_{limb}"], :3, 3] for limb in ("hip", "knee", "ankle")] for side in _SIDES]
+    return float(np.linalg.norm(np.diff(points, axis=1), axis=2).sum()) / 2.0
