@@ -13,6 +13,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.io import change_config
+from support.files.body_files import body_file, person_bvh, pose_file
 from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import streamed
 from support.files.training_image_files import ring_cameras, write_nerfstudio_images
@@ -61,6 +62,9 @@ def beside(tmp_path, monkeypatch):
     Path("statue.obj").write_text("v 0 0 4\nv 1 0 4\nv 0 1 4\nf 1 2 3\n")
     trimesh.creation.box().export("statue.glb")
     TubeRig(clips={"walk": BEND}).write(Path("walker.glb"))
+    body_file(Path("SMPLX_NEUTRAL.npz"), "SMPL-X")
+    pose_file(Path("walk.npz"), "SMPL-X")
+    Path("dance.bvh").write_text(person_bvh(2 * ("0 " * 30 + "\n")))
     Path("frames").mkdir()
     for k in range(3):
         ls.save(Path("frames") / f"{k}.ply", random_gaussians(k, count=10 + k))

@@ -436,27 +436,66 @@ def load_radiance(path: PathLike) -> FloatArray:
     return read_radiance(path)
 
 
-def load_rig(path: PathLike, *, vertex_colors: bool = True, allow_outside: bool = False) -> Rig:
-    """Loads a rigged glTF: its meshes, its joints and its animations.
+def load_rig(
+    path: PathLike,
+    *,
+    motion: PathLike | None = None,
+    betas: npt.ArrayLike | None = None,
+    expression: npt.ArrayLike | None = None,
+    vertex_colors: bool = True,
+    allow_outside: bool = False,
+) -> Rig:
+    """Loads a rig, a figure with joints and clips: a glTF, or a body model of SMPL, SMPL-H, SMPL-X or FLAME.
 
-    Translation, rotation, scale and morph target weights are animated with linear, step or cubic spline interpolation.
-    Meshes that are moved by their node alone are included. Meshes with the same material are joined.
+    Of a glTF, translation, rotation, scale and morph target weights are animated with linear, step or cubic spline
+    interpolation. Meshes that are moved by their node alone are included. Meshes with the same material are joined.
+
+    A body model has shape and pose blend shapes (Loper et al. 2015), y up, in metres. At rest its arms are spread.
 
     Args:
-        path: A ``.glb`` or ``.gltf`` file.
-        vertex_colors: Whether to multiply the base colour by COLOR_0, as the format demands. Use False for files that
+        path: A ``.glb`` or ``.gltf`` file, or a body model as ``.npz``. A ``.pkl`` or ``.fbx`` is refused with the
+            command that converts it.
+        motion: File whose clips come first: AMASS poses (``.npz``) for body models, or ``.bvh``, ``.glb`` or ``.gltf``
+            for body models and humans in glTF. The last three are matched by the names of joints, and fitted to the
+            rest pose and the leg length; a log line names joints that are not matched.
+        betas: Shape of a body model, up to as many numbers as the model has. None: those of ``motion``, which is
+            logged, or the mean shape.
+        expression: Facial expression of a SMPL-X or FLAME model, the same at all times; None: neutral.
+        vertex_colors: Whether to multiply the base colour by COLOR_0, as glTF demands. Use False for files that
             store something else there, such as masks, which would make meshes nearly black (a log line warns).
         allow_outside: As in `load`.
 
     Raises:
-        FormatError: The file is malformed, has neither a skin nor an animation, is skinned without weights or with
-            weights that sum to 0, or has keys that are not finite or not in order.
+        FormatError: A file is malformed, has neither a skin nor an animation, is skinned without weights or with
+            weights that sum to 0, has keys that are not finite or not in order, or is no human that can be matched.
         MissingFileError: There is no such file; both a `FormatError` and a FileNotFoundError.
     """
-    from lumisplat.io.gltf.animation import read_rig
+    from lumisplat.io.rigs.loading import load_rig as load_any_rig
 
     with references_outside(allow_outside):
-        return read_rig(path, vertex_colors)
+        return load_any_rig(path, motion=motion, betas=betas, expression=expression, vertex_colors=vertex_colors)
+
+
+def load_motion(path: PathLike, rig: Rig, *, allow_outside: bool = False) -> Rig:
+    """Returns a rig with the clips of a motion file first, as ``motion`` of `load_rig` does; its own clips follow.
+
+    Args:
+        path: AMASS poses (``.npz``) for body models of SMPL, or ``.bvh``, ``.glb`` or ``.gltf`` for humans.
+        rig: A rig of `load_rig`, or one that a program made.
+        allow_outside: As in `load`.
+
+    Raises:
+        FormatError: The file is malformed, or its joints cannot be matched with those of the rig.
+        SceneError: ``rig`` is not a rig.
+        MissingFileError: There is no such file; both a `FormatError` and a FileNotFoundError.
+    """
+    from lumisplat.io.rigs.loading import load_motion as load_any_motion
+    from lumisplat.scene.animation.rig import Rig
+    from lumisplat.scene.checks import check_argument
+
+    check_argument("load_motion", rig, Rig, "a Rig of load_rig")
+    with references_outside(allow_outside):
+        return load_any_motion(path, rig)
 
 
 def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -> GaussianSequence:
@@ -500,9 +539,10 @@ def load_animation(
     """
     with references_outside(allow_outside):
         load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
-        reader = _ANIMATION_READERS.get(Path(path).suffix.lower())
-        if reader is not None:
-            return _import(reader)(Path(path), drop_invalid)
+        extension = Path(path).suffix.lower()
+        if extension in _ANIMATION_READERS:
+            return _import(_ANIMATION_READERS[extension])(Path(path), drop_invalid)
+        _refuse_rig(Path(path), extension)
         return _import("scene_toml.scene_file.read_animation")(Path(path), load_asset, load_cameras)
 
 
@@ -567,6 +607,7 @@ def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _L
     if extension in (".exr", ".hdr"):
         raise FormatError(path, "is an image, not a scene: --environment (ls.LightEnvironment) lights a scene with it")
     if extension not in _READERS:
+        _refuse_rig(path, extension)
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {_READABLE}")
     reader: Callable[..., _Loaded] = _import(_READERS[extension])
     if extension in (".glb", ".gltf", *USD):
@@ -574,6 +615,18 @@ def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _L
     if extension == ".obj" and options.crease_angle is not None:
         return reader(path, options.crease_angle)
     return reader(path)
+
+
+def _refuse_rig(path: Path, extension: str) -> None:
+    """Raises `FormatError` for rigs and motions that are no scenes; the message says how they are loaded."""
+    from lumisplat.io.rigs.loading import refuse_foreign
+
+    refuse_foreign(path)
+    if extension in (".npz", ".bvh"):
+        what = "a body model or poses" if extension == ".npz" else "a motion"
+        raise FormatError(
+            path, f"may be {what}: use it in [[actors]] of a scene file, or by ls.avatars.load_rig(path, motion=)"
+        )
 
 
 def _writer_of(path: PathLike, *, scene: bool) -> str:

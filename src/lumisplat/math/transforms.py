@@ -73,6 +73,12 @@ def quaternions_from_matrices(matrices: _Floats) -> _Floats:
     return largest / np.linalg.norm(largest, axis=1, keepdims=True)
 
 
+def quaternions_from_rotation_vectors(vectors: _Floats) -> Doubles:
+    """Returns unit quaternions, shape (..., 4), of rotation vectors (axis times angle in radians), shape (..., 3)."""
+    half = 0.5 * np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vectors], axis=-1)
+
+
 def multiply_quaternions(left: _Floats, right: _Floats) -> _Floats:
     """Returns the Hamilton products ``left right`` of one quaternion, (4,), with N others, (N, 4).
 

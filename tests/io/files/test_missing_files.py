@@ -24,6 +24,7 @@ LOADERS: dict[str, Callable[[Path], Any]] = {
     "a.png": ls.load_image,
     "a.hdr": ls.io.load_radiance,
     "b.glb": ls.avatars.load_rig,
+    "smpl.npz": ls.avatars.load_rig,
     "frames": lambda folder: ls.io.load_sequence(folder, 24.0),
     "map.npz": lambda path: ls.DeepShadowMap.load(path, device="cpu"),
 }

@@ -312,11 +312,11 @@ def test_rigs_with_random_byte_changes_either_are_refused_or_can_be_posed(tmp_pa
     assert 10 < refused < 80
 
 
-def test_load_rig_refuses_files_of_other_extensions_than_gltf_without_parsing(tmp_path: Path) -> None:
+def test_load_rig_refuses_files_of_unknown_extensions_without_parsing(tmp_path: Path) -> None:
     """Upper-case extensions are allowed."""
     (tmp_path / "spot.obj").write_text("v 0 0 0\n")
     with pytest.raises(
-        ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb or \.gltf$"
+        ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb, \.gltf, or \.npz of SMPL"
     ):
         ls.avatars.load_rig(tmp_path / "spot.obj")
     assert ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)

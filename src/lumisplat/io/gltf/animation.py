@@ -189,11 +189,8 @@ class _RigPrimitive(NamedTuple):
     part: RigPart
 
 
-def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
+def read_rig(path: Path, vertex_colors: bool = True) -> Rig:
     """Reads a rigged glTF file; see `lumisplat.avatars.load_rig`."""
-    path = Path(path)
-    if path.suffix.lower() not in (".glb", ".gltf"):
-        raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected .glb or .gltf")
     with parsing(path, "a glTF file"):
         file = GltfFile(path)
         check_extensions(file)
@@ -204,6 +201,20 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
         if rig is None:
             raise FormatError(path, "is not a rig: its scene has no triangle mesh")
         return rig
+
+
+def read_motion(path: Path) -> tuple[Skeleton, tuple[Clip, ...]]:
+    """Reads the nodes and animations of a glTF file, without its meshes.
+
+    Raises:
+        FormatError: The file cannot be read, or has no animation.
+    """
+    with parsing(path, "a glTF file"):
+        file = GltfFile(path)
+        clips = _read_clips(file)
+        if not clips:
+            raise FormatError(path, "has no animation, which moves a rig")
+        return _read_skeleton(file), clips
 
 
 def _rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], vertex_colors: bool = True) -> Rig | None:
@@ -247,7 +258,8 @@ def _read_skeleton(file: GltfFile) -> Skeleton:
     identity = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3)
     columns = [identity if index in matrices else node_columns(file, index) for index in nodes]
     translations, rotations, scales = (np.array(column) for column in zip(*columns, strict=True))
-    return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices)
+    names = tuple(node.name or "" for node in file.model.nodes)
+    return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices, names)
 
 
 def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_RigPrimitive]:

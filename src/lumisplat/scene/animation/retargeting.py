@@ -156,7 +156,7 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig) -> Retargeted:
     """
     target = rig.skeleton
     skinned = {int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes}
-    movable = skinned.difference(target.matrices)
+    movable = (skinned or set(target.order)).difference(target.matrices)
     theirs, ours = human_joints(source), {k: node for k, node in human_joints(target).items() if node in movable}
     for names, owner in ((theirs, "the motion"), (ours, "the rig")):
         lacking = [name for name in ("pelvis", *_LEGS) if name not in names]

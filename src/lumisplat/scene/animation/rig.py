@@ -185,11 +185,34 @@ class MorphTargets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PoseShapes:
+    """Pose blend shapes: vertex offsets that are linear in the rotation matrices of J joints (SMPL, equation 9).
+
+    A joint whose axes are those of its parent, as in the bind pose, contributes no offset.
+    """
+
+    nodes: IntArray
+    """For each of the J joints, the index of its node in the skeleton, shape (J,)."""
+    parents: IntArray
+    """For each of the J joints, the index of the node relative to which it rotates, shape (J,)."""
+    offsets: FloatArray
+    """Offset of each of V vertices by each entry of the J rotation matrices minus the identity, row by row, shape
+    (9 J, V, 3)."""
+
+    def at(self, world_from_node: Doubles) -> FloatArray:
+        """Returns the offsets of the V vertices, shape (V, 3), for nodes that are only rotated and translated."""
+        world = world_from_node[:, :3, :3]
+        local = np.swapaxes(world[self.parents], 1, 2) @ world[self.nodes]
+        entries = (local - np.eye(3)).reshape(-1).astype(np.float32)
+        return (entries @ self.offsets.reshape(entries.size, -1)).reshape(self.offsets.shape[1:])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RigPart:
     """One skinned mesh: V vertices in the bind pose, and J joints; each vertex is moved by up to K of the joints."""
 
     positions: FloatArray
-    """Vertex positions in the bind pose, before morph targets, shape (V, 3)."""
+    """Vertex positions in the bind pose, before morph targets and pose blend shapes, shape (V, 3)."""
     normals: FloatArray | None
     """Vertex normals in the bind pose, shape (V, 3); None: the posed mesh is shaded flat."""
     nodes: IntArray
@@ -201,6 +224,8 @@ class RigPart:
     weights: FloatArray
     """Skinning weight of each vertex's K joints, non-negative with a positive sum, shape (V, K)."""
     morphs: MorphTargets | None = None
+    pose_shapes: PoseShapes | None = None
+    """Blend shapes that correct the skin where joints bend; None: linear blend skinning alone."""
 
     def matrices(self, world_from_node: Doubles) -> Doubles:
         """Returns each of V vertices' matrix from the bind pose to the world, shape (V, 3, 4), for posed nodes."""
@@ -221,6 +246,8 @@ class RigPart:
             positions = positions + np.tensordot(weights[used], self.morphs.positions[used], 1)
             if normals is not None and self.morphs.normals is not None:
                 normals = normals + np.tensordot(weights[used], self.morphs.normals[used], 1)
+        if self.pose_shapes is not None:
+            positions = positions + self.pose_shapes.at(pose.world_from_node)
         matrices = self.matrices(pose.world_from_node)
         if normals is not None:
             normals = transform_normals_each(matrices, normals)
@@ -292,8 +319,8 @@ class RigPose:
 class Rig:
     """Meshes bound to a hierarchy of joints, with animations by name; made by `load_rig`.
 
-    Vertices are moved by their morph targets, then by linear blend skinning (glTF 2.0 section 3.7.3). All poses are in
-    the world space and axes of the file (glTF: y up, +z towards the viewer).
+    Vertices are moved by their morph targets and pose blend shapes, then by linear blend skinning (glTF 2.0 section
+    3.7.3). All poses are in the world space of the file, y up and +z towards the viewer.
 
     Raises:
         SceneError: A mesh has no triangles at rest, or has values that are not finite.

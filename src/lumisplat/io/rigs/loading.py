@@ -1,0 +1,164 @@
+"""Loads rigs of all formats, with motion from other files."""
+
+from __future__ import annotations
+
+import logging
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.gltf.animation import read_motion as read_gltf_motion, read_rig as read_gltf_rig
+from lumisplat.io.rigs.amass import BodyPoses, read_body_poses
+from lumisplat.io.rigs.body_model import SMPL, SMPLH, SMPLX, BodyModel, read_body_model
+from lumisplat.io.rigs.bvh import read_bvh
+from lumisplat.scene.animation.retargeting import retarget
+from lumisplat.scene.animation.rig import Clip, Rig
+
+_log = logging.getLogger("lumisplat")
+
+_GLTF = (".glb", ".gltf")
+RIG_FILES = (*_GLTF, ".npz")
+"""Extensions of rigs: glTF, and body models of the SMPL family."""
+_RIGS = ".glb, .gltf, or .npz of SMPL, SMPL-H, SMPL-X, FLAME"
+_MOTIONS = ".npz of AMASS, .bvh, .glb or .gltf"
+_LISTED = 6
+"""Log lines name at most this many joints."""
+_SAME_SHAPES = ("SMPL", "SMPL-H")
+"""Models with the same shape space: coefficients of one fit the other."""
+
+_UNPICKLE = """\
+import sys,pickle as p,numpy as n;\
+C=type('C',(),{'__new__':lambda c,*a:object.__new__(c)});\
+U=type('U',(p.Unpickler,),{'find_class':lambda s,m,k:p.Unpickler.find_class(s,m,k)\
+ if m.split('.')[0] in('numpy','copy_reg','copyreg','_codecs')\
+ and k in('_reconstruct','_reconstructor','_frombuffer','ndarray','dtype','scalar','encode') else C});\
+w=lambda v:getattr(v,'__dict__',{});\
+g=lambda v:n.asarray(v.x) if 'x' in w(v) else g(v.a).ravel()[v.idxs].reshape(v.preferred_shape) if 'idxs' in w(v)\
+ else n.bincount(v.indices*v._shape[1]+n.repeat(n.arange(v._shape[1]),n.diff(v.indptr)),v.data,v._shape[0]*v._shape[1])\
+.reshape(v._shape) if 'indptr' in w(v) else n.asarray(v);\
+f=sys.argv[1];d=U(open(f,'rb'),encoding='latin1').load();\
+n.savez_compressed(f.rsplit('.',1)[0]+'.npz',**{k:g(v) for k,v in d.items()})"""
+"""Python program that converts a pickle of the SMPL family to .npz without chumpy and scipy: of pickled classes, it
+creates only NumPy's arrays, and reads the arrays of chumpy's Ch and Select, and of scipy's csc_matrix."""
+
+
+def refuse_foreign(path: PathLike) -> None:
+    """Raises `FormatError` for formats of rigs that are not read, with the command that converts them.
+
+    Args:
+        path: The file; only its extension matters, except that errors name it.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix in (".pkl", ".pickle"):
+        command = f'python -c "{_UNPICKLE}" {shlex.quote(str(path))}'
+        raise FormatError(path, f"is a pickle, which is not read: convert a SMPL model to .npz with {command}")
+    if suffix == ".fbx":
+        glb = path.with_suffix(".glb")
+        script = (
+            "import bpy;bpy.ops.wm.read_factory_settings(use_empty=True);"
+            f"bpy.ops.import_scene.fbx(filepath={str(path)!r});bpy.ops.export_scene.gltf(filepath={str(glb)!r})"
+        )
+        command = f"blender --background --python-expr {shlex.quote(script)}"
+        raise FormatError(path, f"is FBX, which is not read: convert it with Blender: {command}")
+
+
+def load_rig(
+    path: PathLike,
+    *,
+    motion: PathLike | None = None,
+    betas: npt.ArrayLike | None = None,
+    expression: npt.ArrayLike | None = None,
+    vertex_colors: bool = True,
+) -> Rig:
+    """Loads a rig; see `lumisplat.avatars.load_rig`."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    refuse_foreign(path)
+    if suffix == ".bvh":
+        raise FormatError(path, f'is a motion without a body: load_rig("walker.glb", motion="{path.name}")')
+    if suffix not in RIG_FILES:
+        raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected {_RIGS}")
+    is_gltf = suffix in _GLTF
+    if is_gltf and (betas is not None or expression is not None):
+        raise FormatError(path, "has no betas or expression: they shape a body model (SMPL), a .npz")
+    poses = None
+    if is_gltf:
+        rig = read_gltf_rig(path, vertex_colors)
+    else:
+        model = read_body_model(path)
+        if motion is not None and Path(motion).suffix.lower() == ".npz":
+            poses = read_body_poses(Path(motion))
+            betas = _betas_of(model, poses) if betas is None else betas
+        with parsing(path, "a body model (SMPL)"):
+            rig = model.rig(betas, expression)
+    return rig if motion is None else load_motion(motion, rig, path.name, poses)
+
+
+def load_motion(path: PathLike, rig: Rig, name: str = "the rig", poses: BodyPoses | None = None) -> Rig:
+    """Returns a rig with the clips of a motion file first; see `lumisplat.avatars.load_motion`.
+
+    Args:
+        path: The motion file.
+        rig: The rig.
+        name: Name of the rig in messages.
+        poses: Content of the file, if it holds AMASS poses and is already read.
+    """
+    path = Path(path)
+    refuse_foreign(path)
+    if path.suffix.lower() == ".npz":
+        if rig.skeleton.names not in (SMPL, SMPLH, SMPLX):
+            raise FormatError(path, f"moves bodies (.npz of SMPL, SMPL-H or SMPL-X), but {name} is none")
+        clips = ((poses or read_body_poses(path)).clip(rig.skeleton),)
+    else:
+        clips = _fitted(path, rig, name)
+    named = {clip.name for clip in clips}
+    return replace(rig, animations=(*clips, *(clip for clip in rig.animations if clip.name not in named)))
+
+
+def _betas_of(model: BodyModel, poses: BodyPoses) -> npt.ArrayLike | None:
+    """Returns the shape of a motion's body for a model with the same shapes, logged; None for other models."""
+    if not poses.betas.size:
+        return None
+    if poses.name != model.name and not {poses.name, model.name} <= set(_SAME_SHAPES):
+        _log.warning("%s: its betas are of %s, and do not shape %s: %s", poses.path, poses.name, model.name, model.path)
+        return None
+    betas = poses.betas[: model.shapes.shape[2]]
+    _log.warning("%s: is shaped by %d betas of %s, as betas are not given", model.path, betas.size, poses.path.name)
+    return betas
+
+
+def _fitted(path: Path, rig: Rig, name: str) -> tuple[Clip, ...]:
+    """Returns the clips of a BVH or glTF file, fitted to a rig; logs which joints do not move."""
+    suffix = path.suffix.lower()
+    if suffix in _GLTF:
+        source, clips = read_gltf_motion(path)
+    elif suffix == ".bvh":
+        source, clip = read_bvh(path)
+        clips = (clip,)
+    else:
+        raise FormatError(path, f"unknown extension {path.suffix!r} of a motion, expected {_MOTIONS}")
+    with parsing(path, "a motion of a human"):
+        try:
+            done = [retarget(source, clip, rig) for clip in clips]
+        except SceneError as error:
+            raise FormatError(path, f"does not fit {name}: {error}") from None
+    first = done[0]
+    notes = [
+        "poses are relative to its first frame, because it does not stand at rest" * first.from_first_frame,
+        _listed("these of its joints move nothing", first.unmatched),
+        _listed(f"these of {name} rest", first.resting),
+    ]
+    if any(notes):
+        _log.warning("%s: %s", path, "; ".join(note for note in notes if note))
+    return tuple(one.clip for one in done)
+
+
+def _listed(what: str, names: list[str]) -> str:
+    """Returns a note that names up to six joints and counts the others; empty without any."""
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return f"{what}: {', '.join(names[:_LISTED])}{more}" if names else ""

@@ -1,0 +1,275 @@
+"""Body models of the SMPL family, and AMASS poses."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import pickle
+import shlex
+import subprocess
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_rotation_vectors
+from support.files.body_files import body_arrays, body_file, pose_file
+from support.kinds import present
+from support.oracles.smpl_oracle import posed_body, rodrigues
+
+UP = rodrigues(np.array([-np.pi / 2.0, 0.0, 0.0]))
+"""Rotation from z up to y up."""
+
+
+@pytest.mark.parametrize(("model", "directions"), [("SMPL", 10), ("SMPL-H", 16), ("SMPL-X", 20), ("SMPL-X", 400)])
+def test_posed_bodies_equal_the_equations_of_smpl_in_float64(tmp_path: Path, model: str, directions: int) -> None:
+    """Shape, expression, pose blend shapes, hands, orientation and translation are those of the paper."""
+    arrays = body_arrays(model, directions=directions)
+    path = body_file(tmp_path / "body.npz", model, directions=directions)
+    first_expression = {20: 10, 400: 300}.get(directions, directions)
+    betas, expression = np.array([1.5, -2.0, 0.5]), np.array([2.0, -1.0]) if model == "SMPL-X" else np.zeros(0)
+    coefficients = np.zeros(directions)
+    coefficients[:3] = betas
+    coefficients[first_expression : first_expression + expression.size] = expression
+    motion = pose_file(tmp_path / "walk.npz", model, frames=2)
+    rig = ls.avatars.load_rig(path, motion=motion, betas=betas, expression=expression)
+    assert rig.clips == ("walk",) and rig.duration() == pytest.approx(1.0 / 20.0)
+    with np.load(motion) as stored:
+        poses, moved = stored["poses"].reshape(2, -1, 3), stored["trans"]
+    for frame in range(2):
+        expected = posed_body(arrays, coefficients, poses[frame], moved[frame]) @ UP.T
+        np.testing.assert_allclose(rig.pose(frame / 20.0).positions, expected, atol=2e-6)
+    hands = np.zeros((len(poses[0]), 3))
+    if "hands_meanl" in arrays:
+        hands[-30:] = np.concatenate([arrays["hands_meanl"], arrays["hands_meanr"]]).reshape(30, 3)
+    np.testing.assert_allclose(rig.mesh.positions, posed_body(arrays, coefficients, hands, np.zeros(3)), atol=2e-6)
+    assert rig.mesh.positions[:, 1].argmin() // 4 in (10, 11)  # the feet are below: y is up
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1.0, np.pi - 1e-9, np.pi, np.pi + 1e-3, 2.0 * np.pi, 9.0])
+def test_rotation_vectors_of_any_angle_give_the_rotation_of_rodrigues(angle: float) -> None:
+    """Near 0 and pi, too."""
+    vector = angle * np.array([0.6, -0.48, 0.64])
+    found = matrices_from_quaternions(quaternions_from_rotation_vectors(vector[None]))[0]
+    np.testing.assert_allclose(found, rodrigues(vector), atol=1e-14)
+
+
+def test_flame_heads_have_expressions_and_joints_of_their_own(tmp_path: Path) -> None:
+    """A head has five joints; expressions move it at rest."""
+    arrays = body_arrays("FLAME", directions=400)
+    rig = ls.avatars.load_rig(body_file(tmp_path / "flame.npz", "FLAME", directions=400), expression=[3.0])
+    coefficients = np.eye(400)[300] * 3.0
+    np.testing.assert_allclose(
+        rig.mesh.positions, posed_body(arrays, coefficients, np.zeros((5, 3)), np.zeros(3)), atol=1e-6
+    )
+
+
+def test_gaussians_bound_to_a_body_follow_its_clip(tmp_path: Path) -> None:
+    """`bind_gaussians` takes a body as any rig, and the Gaussians stay on the posed mesh."""
+    rig = ls.avatars.load_rig(body_file(tmp_path / "b.npz", "SMPL"), motion=pose_file(tmp_path / "w.npz", "SMPL"))
+    assert present(rig.mesh.normals).any()
+    bound = ls.bind_gaussians(rig, 400)
+    for time in (0.0, 0.1):
+        mesh = rig.pose(time)
+        low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+        assert ((bound.at(time).means >= low - 1e-5) & (bound.at(time).means <= high + 1e-5)).all()
+
+
+def test_betas_of_a_motion_shape_models_of_the_same_shape_space(tmp_path: Path, caplog: Any) -> None:
+    """SMPL and SMPL-H share shapes; the shape of SMPL-X is another one, which a log line says."""
+    motion = pose_file(tmp_path / "walk.npz", "SMPL-H")
+    with np.load(motion) as stored:
+        betas = stored["betas"]
+    body = body_file(tmp_path / "smpl.npz", "SMPL", directions=10)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        shaped = ls.avatars.load_rig(body, motion=motion)
+    assert "is shaped by 10 betas of walk.npz" in caplog.text
+    assert "has poses of SMPL-H, so these joints rest: left_hand, right_hand" in caplog.text
+    np.testing.assert_array_equal(shaped.mesh.positions, ls.avatars.load_rig(body, betas=betas[:10]).mesh.positions)
+    caplog.clear()
+    body = body_file(tmp_path / "smplx.npz", "SMPL-X")
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        mean = ls.avatars.load_rig(body, motion=motion)
+    assert "its betas are of SMPL-H, and do not shape SMPL-X" in caplog.text
+    np.testing.assert_array_equal(mean.mesh.positions, ls.avatars.load_rig(body).mesh.positions)
+
+
+def test_poses_of_bodies_that_stand_along_y_are_not_rotated(tmp_path: Path, caplog: Any) -> None:
+    """A file with y up is recognised by its bodies, which a log line says; the other frame rate key is read."""
+    changes = {"poses": np.zeros((2, 72)), "trans": np.array([[0.0, 5.0, 0.0]] * 2), "betas": None}
+    changes |= {"mocap_framerate": None, "mocap_frame_rate": np.array([50])}
+    motion = pose_file(tmp_path / "walk.npz", "SMPL", frames=2, **changes)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        rig = ls.avatars.load_rig(body_file(tmp_path / "smpl.npz", "SMPL"), motion=motion)
+    assert "so y is taken as up" in caplog.text and rig.duration() == 0.02
+    np.testing.assert_allclose(rig.pose(0.0).positions, rig.mesh.positions + np.array([0.0, 5.0, 0.0]), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"v_template": None, "f": None}, "lacks v_template, f: expected a model of SMPL, SMPL-H, SMPL-X, FLAME"),
+        ({"posedirs": np.zeros((96, 3, 93))}, "posedirs has the shape (96, 3, 93), expected (96, 3, 207)"),
+        ({"weights": np.ones((96, 33))}, "has 33 joints, expected 24 (SMPL), 52 (SMPL-H), 55 (SMPL-X), 5 (FLAME)"),
+        ({"weights": -np.ones((96, 24))}, "weights below 0"),
+        ({"v_template": np.full((96, 3), np.nan)}, "v_template holds values that are not finite"),
+        ({"f": np.full((4, 3), 96)}, "f has vertices that do not exist"),
+        ({"kintree_table": np.ones((2, 24))}, "kintree_table has a joint before its parent"),
+    ],
+)
+def test_wrong_body_models_give_one_line(tmp_path: Path, changes: dict[str, Any], problem: str) -> None:
+    """The line says which array is wrong, and what was expected."""
+    arrays = body_arrays("SMPL", directions=10) | changes
+    np.savez(tmp_path / "body.npz", **{name: array for name, array in arrays.items() if array is not None})
+    with pytest.raises(ls.FormatError) as caught:
+        ls.avatars.load_rig(tmp_path / "body.npz")
+    assert problem in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"poses": None}, "lacks poses: expected a file of AMASS poses"),
+        ({"poses": np.zeros((3, 63))}, "poses has shape (3, 63), expected (T, 72), (T, 156) or (T, 165)"),
+        ({"trans": np.zeros((2, 3))}, "trans has the shape (2, 3), expected (3, 3)"),
+        ({"mocap_framerate": None}, "lacks mocap_framerate"),
+        ({"mocap_framerate": np.array(0.0)}, "mocap_framerate is 0, expected frames per second"),
+        ({"poses": np.array([[None] * 72] * 3)}, "poses holds Python objects"),
+    ],
+)
+def test_wrong_poses_give_one_line(tmp_path: Path, changes: dict[str, Any], problem: str) -> None:
+    """The line names the file of the poses."""
+    motion = pose_file(tmp_path / "walk.npz", "SMPL", **changes)
+    with pytest.raises(ls.FormatError) as caught:
+        ls.avatars.load_rig(body_file(tmp_path / "body.npz", "SMPL"), motion=motion)
+    assert problem in str(caught.value) and str(caught.value).startswith(str(motion))
+
+
+def test_wrong_uses_of_body_files_say_what_to_do(tmp_path: Path) -> None:
+    """Poses in place of a body, too many numbers, and a body in place of a scene."""
+    motion, body = pose_file(tmp_path / "walk.npz", "SMPL"), body_file(tmp_path / "body.npz", "SMPL")
+    with pytest.raises(ls.FormatError, match=r'holds poses, not a body: load_rig\("SMPLX_NEUTRAL.npz", motion='):
+        ls.avatars.load_rig(motion)
+    with pytest.raises(ls.FormatError, match=r"betas has shape \(21,\), expected at most 20 numbers"):
+        ls.avatars.load_rig(body, betas=np.zeros(21))
+    for load in (ls.load, ls.load_animation):
+        with pytest.raises(ls.FormatError, match=r"may be a body model or poses: use it in \[\[actors\]\]"):
+            load(body)
+    with pytest.raises(ls.FormatError, match="has no betas or expression: they shape a body model"):
+        ls.avatars.load_rig(tmp_path / "walker.glb", betas=[1.0])
+    with pytest.raises(ls.FormatError, match=r"unknown extension '.mp4' of a motion, expected .npz of AMASS, .bvh"):
+        ls.avatars.load_rig(body, motion="a.mp4")
+
+
+def test_a_sparse_regressor_is_read_after_the_conversion_that_the_error_names(tmp_path: Path) -> None:
+    """The advice in the error is Python that makes the array dense."""
+    sparse = pytest.importorskip("scipy.sparse")
+    arrays = body_arrays("SMPL")
+    path, dense = tmp_path / "body.npz", arrays["J_regressor"]
+    arrays["J_regressor"] = np.array(sparse.csc_matrix(dense), dtype=object)
+    np.savez(path, **arrays)
+    with pytest.raises(ls.FormatError, match=r"J_regressor holds Python objects") as caught:
+        ls.avatars.load_rig(path)
+    advice = str(caught.value).partition("(a sparse matrix: ")[2].removesuffix(")")
+    with np.load(path, allow_pickle=True) as stored:
+        np.testing.assert_array_equal(eval(advice, {"J_regressor": stored["J_regressor"]}), dense)
+
+
+def test_truncated_or_damaged_body_files_raise_only_format_errors(tmp_path: Path) -> None:
+    """At any length, and with any bit flipped, a file is refused in one line or read."""
+    body, motion = body_file(tmp_path / "body.npz", "SMPL", directions=2), pose_file(tmp_path / "walk.npz", "SMPL")
+    rng = np.random.default_rng(3)
+    for path in (body, motion):
+        whole = path.read_bytes()
+        for length in np.linspace(1, len(whole) - 1, 15).astype(int):
+            path.write_bytes(whole[:length])
+            with pytest.raises(ls.FormatError):
+                ls.avatars.load_rig(body, motion=motion)
+        for place in (*rng.integers(0, len(whole), 15), *rng.integers(len(whole) - 400, len(whole), 15)):
+            damaged = bytearray(whole)
+            damaged[place] ^= 1 << int(rng.integers(0, 8))
+            path.write_bytes(damaged)
+            with contextlib.suppress(ls.FormatError):
+                ls.avatars.load_rig(body, motion=motion)
+        path.write_bytes(whole)
+
+
+def _chumpy(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
+    """Installs classes that are pickled as those of chumpy are: by name, with their arrays as attributes."""
+    module = types.ModuleType("chumpy.ch")
+    for name in ("Ch", "Select"):
+        setattr(module, name, type(name, (), {"__module__": "chumpy.ch"}))
+    monkeypatch.setitem(sys.modules, "chumpy", types.ModuleType("chumpy"))
+    monkeypatch.setitem(sys.modules, "chumpy.ch", module)
+    return module
+
+
+@pytest.mark.parametrize("protocol", [0, 2])
+def test_the_command_in_the_error_about_pickles_converts_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: int
+) -> None:
+    """A pickle with objects of chumpy and a sparse matrix becomes a body model; harmful classes are not created."""
+    sparse = pytest.importorskip("scipy.sparse")
+    arrays = body_arrays("SMPL", directions=10)
+    with monkeypatch.context() as patch:
+        chumpy = _chumpy(patch)
+        shapes, template, inner = chumpy.Select(), chumpy.Ch(), chumpy.Ch()
+        inner.x, template.x = np.concatenate([np.zeros(1), arrays["shapedirs"].ravel()]), arrays["v_template"]
+        shapes.a, shapes.idxs, shapes.preferred_shape = inner, np.arange(1, inner.x.size), arrays["shapedirs"].shape
+        changes = {"shapedirs": shapes, "v_template": template, "J_regressor": sparse.csc_matrix(arrays["J_regressor"])}
+        pickled = arrays | changes | {"bs_style": "lbs"}
+        del pickled["joint2num"]
+        path = tmp_path / "SMPL it's.pkl"
+        path.write_bytes(pickle.dumps(pickled, protocol))
+    with pytest.raises(ls.FormatError, match="is a pickle, which is not read") as caught:
+        ls.avatars.load_rig(path)
+    assert "\n" not in str(caught.value)
+    command = str(caught.value).partition("with ")[2]
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    subprocess.run(command, shell=True, check=True, env=environment)
+    body_file(tmp_path / "expected.npz", "SMPL", directions=10)
+    pair = [ls.avatars.load_rig(tmp_path / name, betas=[1.0, 2.0]) for name in ("SMPL it's.npz", "expected.npz")]
+    np.testing.assert_array_equal(pair[0].mesh.positions, pair[1].mesh.positions)
+
+    class Harmful:
+        def __init__(self, *call: Any) -> None:
+            self.call = call
+
+        def __reduce__(self) -> tuple[Any, ...]:
+            return self.call[0], self.call[1:]
+
+    made = str(tmp_path / "made")
+    harm = [Harmful(os.mkdir, made), Harmful(np.testing.runstring, f"open({made!r}, 'w')", {})]
+    path.write_bytes(pickle.dumps({"v_template": harm}, protocol))
+    subprocess.run(command, shell=True, env=environment, capture_output=True, check=False)
+    assert not os.path.exists(made)
+
+
+def test_the_command_in_the_error_about_fbx_imports_it_and_exports_glb(tmp_path: Path) -> None:
+    """The Python expression for Blender runs, and names both files."""
+    with pytest.raises(ls.FormatError, match="is FBX, which is not read") as caught:
+        ls.avatars.load_rig(tmp_path / "it's me.fbx")
+    words = shlex.split(str(caught.value).partition("with Blender: ")[2])
+    assert words[:3] == ["blender", "--background", "--python-expr"]
+    calls: list[tuple[str, dict[str, Any]]] = []
+
+    class Operators:
+        def __init__(self, name: str = "bpy") -> None:
+            self.name = name
+
+        def __getattr__(self, name: str) -> Operators:
+            return Operators(f"{self.name}.{name}")
+
+        def __call__(self, **options: Any) -> None:
+            calls.append((self.name, options))
+
+    exec(words[3].replace("import bpy;", ""), {"bpy": Operators()})
+    assert calls[1:] == [
+        ("bpy.ops.import_scene.fbx", {"filepath": str(tmp_path / "it's me.fbx")}),
+        ("bpy.ops.export_scene.gltf", {"filepath": str(tmp_path / "it's me.glb")}),
+    ]
