@@ -137,7 +137,7 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
     Paths to another drive become absolute.
 
     Args:
-        values: The table, with nested tables. Values of ``path`` and of keys that end in ``_texture`` are paths.
+        values: The table, with nested tables. Values of ``path``, ``motion`` and ``..._texture`` are paths.
         source: Folder from which the paths start now.
         target: Folder from which the paths shall start.
     """
@@ -149,7 +149,11 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
             moved[key] = relocated(cast(Mapping[str, Any], value), source, target)
         elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in cast(list[object], value)):
             moved[key] = [relocated(item, source, target) for item in cast(list[Mapping[str, Any]], value)]
-        elif isinstance(value, str) and (key == "path" or key.endswith("_texture")) and not value.startswith("<"):
+        elif (
+            isinstance(value, str)
+            and (key in ("path", "motion") or key.endswith("_texture"))
+            and not value.startswith("<")
+        ):
             moved[key] = value if Path(value).is_absolute() else relative_path(source / value, target)
         else:
             moved[key] = value

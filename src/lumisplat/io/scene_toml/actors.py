@@ -24,8 +24,9 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.gltf.animation import is_rigged, read_rig
+from lumisplat.io.gltf.animation import is_rigged
 from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.rigs.loading import load_rig
 from lumisplat.io.scene_toml.placement import (
     PLACEMENT,
     STANDING,
@@ -35,7 +36,7 @@ from lumisplat.io.scene_toml.placement import (
     scene_up,
     stand_upright,
 )
-from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, TABLES, TEXT, WHOLE, TomlTable, Values
+from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, NUMBERS, TABLES, TEXT, WHOLE, TomlTable, Values
 from lumisplat.io.splats.sequence import read_sequence
 from lumisplat.scene.animation.actors import Actor, Subject
 from lumisplat.scene.animation.keyframes import Keyframes
@@ -48,7 +49,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 ACTOR_KEYS = {
     "path": TEXT.about(
-        "A `.glb` or `.gltf` with a skin or animation, a folder of frames, a capture or a mesh. Required."
+        "A `.glb` or `.gltf` with a skin or animation, a `.npz` of SMPL, SMPL-H, SMPL-X or FLAME, a folder of frames, "
+        "a capture or a mesh. Required."
     ),
     **PLACEMENT,
     **STANDING,
@@ -56,6 +58,10 @@ ACTOR_KEYS = {
     "form": TEXT.about('Form of a rig or mesh: `"gaussians"` (default) or `"mesh"`.'),
     "count": WHOLE.about("Number of Gaussians of a rig or mesh. Default: neighbours are 1/300 of its size apart."),
     "vertex_colors": FLAG.about("Multiplies the colours of a rig by COLOR_0. Default: true."),
+    "motion": TEXT.about(
+        "Motion of a rig from another file: `.npz` of AMASS (body models), `.bvh`, `.glb` or `.gltf`."
+    ),
+    "betas": NUMBERS.about("Shape of a body model. Default: that of `motion`, or the mean."),
     "fps": NUMBER.about("Frames a second of a folder of frames. Default: 25."),
     "clip": TEXT.about("Animation of a rig, by its name. Default: the first."),
     "loop": FLAG.about("Repeats the clip or frames; false holds the last pose or frame. Default: true."),
@@ -77,7 +83,9 @@ _FORMS = ("gaussians", "mesh")
 _KEY_OWNERS = {
     "count": "a rig or a mesh as Gaussians",
     "form": "a rig or a mesh",
-    "vertex_colors": "a rig",
+    "vertex_colors": "a glTF rig",
+    "motion": "a rig",
+    "betas": "a body model",
     "fps": "a folder of frames",
 }
 """Keys of ``[[actors]]`` that apply to some kinds of files only, each with a phrase that names these kinds in
@@ -193,7 +201,7 @@ class Subjects:
         file = table.file("path")
         if given.get("form", "gaussians") not in _FORMS:
             raise table.wrong("form", " or ".join(_FORMS))
-        key = file, *(given.get(name) for name in _KEY_OWNERS)
+        key = file, *(repr(given.get(name)) for name in _KEY_OWNERS)
         if key not in self._subjects:
             try:
                 self._subjects[key] = self._make(table, file, given)
@@ -212,10 +220,20 @@ class Subjects:
             _refuse_foreign_keys(table, given, {"fps"}, "a folder of frames")
             self._captures.add(file)
             return read_sequence(file, given.get("fps", 25.0), self.load)
-        if file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file)):
-            _refuse_foreign_keys(table, given, {*mesh_keys, "vertex_colors"}, "a rig as a mesh" if as_mesh else "a rig")
-            rig = read_rig(file, given.get("vertex_colors", True))
+        is_body = file.suffix.lower() == ".npz"
+        if is_body or (file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file))):
+            known = {*mesh_keys, "motion", "betas" if is_body else "vertex_colors"}
+            _refuse_foreign_keys(table, given, known, "a rig as a mesh" if as_mesh else "a rig")
+            motion = table.file("motion") if "motion" in given else None
+            colors = given.get("vertex_colors", True)
+            rig = load_rig(file, motion=motion, betas=given.get("betas"), vertex_colors=colors)
             return rig if as_mesh else bind_gaussians(rig, given.get("count"))
+        if file.suffix.lower() == ".bvh":
+            raise table.error(
+                f'path is {given["path"]!r}, a motion without a body: write path = "walker.glb" and motion = '
+                f'"{given["path"]}"',
+                "path",
+            )
         loaded = self.load(file)
         if isinstance(loaded, Gaussians):
             _refuse_foreign_keys(table, given, set(), "a capture")

@@ -189,6 +189,10 @@ def _is_vector(count: int) -> Callable[[object], bool]:
     return lambda value: is_list(value) and len(value) == count and all(map(is_number, value))
 
 
+def _is_numbers(value: object) -> bool:
+    return is_list(value) and all(map(is_number, value))
+
+
 def _is_color(value: object) -> bool:
     return is_number(value) or _is_vector(3)(value)
 
@@ -209,6 +213,8 @@ NUMBER_OR_FALSE = Kind("a number or false", _is_number_or_false)
 WHOLE = Kind("a whole number", is_whole)
 
 VECTOR = Kind("three numbers", _is_vector(3))
+
+NUMBERS = Kind("numbers in brackets", _is_numbers)
 
 PAIR = Kind("two numbers", _is_vector(2))
 

@@ -1,0 +1,62 @@
+"""Actors of scene files that are body models, or have motion from another file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.body_files import body_file, pose_file
+from support.files.rig_files import BEND, TubeRig
+from support.files.scene_files import refuses, write_scene
+from support.kinds import expect_kind
+from support.scenes.raster_scenes import random_gaussians
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Writes a capture, a body with poses, a rig, and a motion."""
+    ls.save(tmp_path / "capture.ply", random_gaussians(1, count=10))
+    body_file(tmp_path / "smpl.npz", "SMPL")
+    pose_file(tmp_path / "walk.npz", "SMPL")
+    TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb")
+    (tmp_path / "walk.bvh").write_text("HIERARCHY")
+    return tmp_path
+
+
+def test_body_models_with_motion_are_actors_that_stand(folder: Path) -> None:
+    """The body has the shape and the motion of its keys, stands in a scene whose y points down, and is saved again."""
+    (folder / "away").mkdir()
+    entry = '[[actors]]\npath = "smpl.npz"\nmotion = "walk.npz"\nform = "mesh"\n'
+    text = 'up = "y-down"\n[[splats]]\npath = "capture.ply"\n' + entry + entry + "betas = [1.0, 2]\n"
+    first, second = ls.load_animation(write_scene(folder, text)).actors
+    rig = expect_kind(ls.avatars.Rig, second.subject)
+    assert rig.clips == ("walk",) and first.subject is not rig
+    expected = ls.avatars.load_rig(folder / "smpl.npz", motion=folder / "walk.npz", betas=[1.0, 2.0]).pose(0.05)
+    shown = expect_kind(ls.MeshInstance, second.at(0.05)[0])
+    np.testing.assert_array_equal(shown.mesh.positions, expected.positions)
+    np.testing.assert_allclose(shown.transform[:3, 1] / np.linalg.norm(shown.transform[:3, 1]), [0, -1, 0], atol=1e-9)
+    ls.io.SceneDocument.open(folder / "scene.toml").save(folder / "away" / "scene.toml")
+    assert 'motion = "../walk.npz"' in (folder / "away" / "scene.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (
+            "path = 'tube.glb'\nbetas = [1]",
+            "line 3, actors[0]: betas applies to a body model, but path is 'tube.glb', a rig",
+        ),
+        ("path = 'smpl.npz'\nbetas = 1", "line 3, actors[0]: betas is 1, expected numbers in brackets"),
+        ("path = 'tube.glb'\nmotion = 'no.bvh'", "line 3, actors[0]: motion is 'no.bvh', no such file"),
+        ("path = 'walk.bvh'", "line 2, actors[0]: path is 'walk.bvh', a motion without a body: write path ="),
+    ],
+)
+def test_errors_of_bodies_and_motions_name_the_line(folder: Path, text: str, problem: str) -> None:
+    """The error is one line."""
+    write_scene(folder, f"[[actors]]\n{text}\n")
+    with pytest.raises(ls.FormatError) as caught:
+        ls.load_animation(folder / "scene.toml")
+    refuses(caught, folder, problem)
