@@ -15,8 +15,9 @@ import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.demo.shapes import icosphere
 from lumisplat.math.color import decode_srgb
+from lumisplat.math.transforms import multiply_quaternions, rotation_matrix
 from lumisplat.relighting import avatar_lighter
-from lumisplat.relighting.probe_transfer import sun_beyond
+from lumisplat.relighting.actor_light import share_beyond
 from lumisplat.scene.lights import Light
 from lumisplat.scene.ops.mesh_sampling import sample_surface
 from lumisplat.shadow_maps import casters_and_receivers
@@ -24,6 +25,8 @@ from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 from support.scenes.known_light_captures import meadow
 from support.scenes.light_room import captured, light_ball
 
+AS_HELD = ls.config.RelightConfig(gamma=1.0)
+"""Light as the probe holds it, without an estimated exposure."""
 SHADOW = ls.config.DeepShadowConfig(resolution=128, bins=32)
 LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
 
@@ -53,7 +56,8 @@ def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
 
 def config(**changes: object) -> ls.config.AvatarLightingConfig:
     """Returns settings with small shadow maps, only direct light and no relighting, except for the given changes."""
-    return replace(ls.config.AvatarLightingConfig(shadow_map=SHADOW, direct=1.0, relight=False), **changes)
+    settings = ls.config.AvatarLightingConfig(shadow_map=SHADOW, direct=1.0, relight=False, transfer=AS_HELD)
+    return replace(settings, **changes)
 
 
 def lighter(scene: ls.Scene, lights: Sequence[Light] | None = (LIGHT,), **changes: object) -> ls.AvatarLighter:
@@ -65,6 +69,19 @@ def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
     """Returns the ratio of linear mean colours after and before lighting, for each Gaussian, shape (N,)."""
     old, new = (decode_srgb(g.sh[:, 0].mean(axis=1).astype(np.float64) * SH_C0 + 0.5) for g in (before, after))
     return new / old
+
+
+def transformed(gaussians: ls.Gaussians, wxyz: np.ndarray) -> ls.Gaussians:
+    """Returns Gaussians turned about the origin by a quaternion."""
+    rotation = rotation_matrix(wxyz)
+    turned = multiply_quaternions(wxyz, gaussians.rotations_wxyz.astype(np.float64))
+    return replace(gaussians, means=gaussians.means @ rotation.T, rotations_wxyz=turned)
+
+
+def turn_between(first: ls.Gaussians, second: ls.Gaussians) -> np.ndarray:
+    """Returns the rotation that takes the first Gaussian of one set to that of another, shape (3, 3)."""
+    before, after = (rotation_matrix(one.rotations_wxyz[0]) for one in (first, second))
+    return after @ before.T
 
 
 def test_actor_makes_a_captured_floor_dark_inside_its_shadow_and_unchanged_outside() -> None:
@@ -170,27 +187,27 @@ def test_relit_actor_is_lit_by_the_radiance_around_its_position() -> None:
     scene = ls.Scene(splats=[floor(cells=41)])
     normals = puppet().gaussians.means / 0.4
     actor = replace(puppet(), gaussians=replace(puppet().gaussians, normals=normals))
-    lit = lighter(scene, relight=True).light([actor]).splats[1]
+    lit = lighter(scene, relight=True, lights_on_actors=False).light([actor]).splats[1]
     left = light_left(actor.gaussians, lit.gaussians)
     assert left[normals[:, 1] < -0.9].mean() > 2.0 * left[normals[:, 1] > 0.9].mean()
     assert lighter(scene).light([actor]).splats[1] is actor
 
 
 def test_avatar_lighter_reuses_normals_and_probes_of_a_static_actor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Normals are estimated once for each capture, and probes once for each position of an actor."""
+    """Normals are estimated once for each actor, and probes once for each position of an actor."""
     calls: list[str] = []
-    estimate, capture = avatar_lighter.estimate_normals, ls.avatars.EnvironmentProbe.capture
+    estimate, capture = avatar_lighter.estimate_normals, ls.avatars.EnvironmentProbe.capture_with_open
 
     def counted_estimate(*arguments: Any) -> Any:
         calls.append("normals")
         return estimate(*arguments)
 
-    def counted_capture(*arguments: Any, **options: Any) -> ls.avatars.EnvironmentProbe:
+    def counted_capture(*arguments: Any, **options: Any) -> Any:
         calls.append("probe")
         return capture(*arguments, **options)
 
     monkeypatch.setattr(avatar_lighter, "estimate_normals", counted_estimate)
-    monkeypatch.setattr(ls.avatars.EnvironmentProbe, "capture", counted_capture)
+    monkeypatch.setattr(ls.avatars.EnvironmentProbe, "capture_with_open", counted_capture)
     stage = lighter(ls.Scene(splats=[floor()]), relight=True)
     actor = puppet()
     for x in (0.0, 0.0, 0.5):
@@ -417,22 +434,75 @@ def test_probe_of_an_actor_includes_the_background_radiance() -> None:
     assert decode_srgb(np.array(colors[1])) == pytest.approx(0.6, abs=0.01)
 
 
-def test_relit_actors_that_are_too_dark_are_logged_once_with_a_suggested_gamma(
+def brightness(captured_at: float, place: float) -> float:
+    """Returns the mean linear brightness of a relit ball captured in one light, above a floor seen in another."""
+    ground = captured(floor().means, np.full(3, 0.8 * place), scale=0.1)
+    ball = replace(puppet(), gaussians=captured(puppet().gaussians.means, np.full(3, 0.8 * captured_at), scale=0.04))
+    stage = lighter(ls.Scene(splats=[ground]), relight=True, transfer=ls.config.RelightConfig(), lights_on_actors=False)
+    return float(decode_srgb(stage.light([ball]).splats[1].gaussians.sh[:, 0] * SH_C0 + 0.5).mean())
+
+
+def test_a_relit_figure_is_as_bright_as_its_surroundings_make_a_card_of_its_albedo(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """The line advises a larger ``RelightConfig.gamma``; with such a gamma, there is no warning."""
+    """White balls are as bright as a white floor, however bright either was captured; one line says so."""
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        assert brightness(1.0, 1.0) == pytest.approx(0.8, rel=0.15)
+    assert caplog.text.count("actor 'puppet' is lit at ") == 1
+    assert "the light around is 1 of display white, it was captured in 1, open directions" in caplog.text
+    assert brightness(0.6, 1.0) == pytest.approx(brightness(1.0, 1.0), rel=0.02)
+    assert brightness(1.0, 0.3) == pytest.approx(0.3 * brightness(1.0, 1.0), rel=0.02)
+
+
+def test_an_open_place_lights_figures_from_where_no_capture_is() -> None:
+    """The sky that a captured floor leaves open lights the upper side most; a given background is taken instead."""
+    scene = ls.Scene(splats=[floor(cells=41)])
+    normals = puppet().gaussians.means / 0.4
+    actor = replace(puppet(), gaussians=replace(puppet().gaussians, normals=normals))
+    auto = config(relight=True, transfer=ls.config.RelightConfig(), lights_on_actors=False)
+    for background, brighter in (((0.0, 0.0, 0.0), "up"), ((0.05, 0.05, 0.05), "down")):
+        stage = ls.AvatarLighter(scene, [LIGHT], auto, background=background, device="cpu")
+        left = light_left(actor.gaussians, stage.light([actor]).splats[1].gaussians)
+        up, down = left[normals[:, 1] > 0.9].mean(), left[normals[:, 1] < -0.9].mean()
+        assert (up > 1.25 * down) if brighter == "up" else (down > 1.5 * up)
+
+
+def test_figures_are_in_the_shadow_of_each_other_and_of_themselves() -> None:
+    """Under a vertical sun a ball below another gets no sun, and the lower rim of a bowl's inside none past its rim."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
-    gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
-    for gamma, warnings in ((1.0, 1), (2.0, 0)):
-        settings = config(relight=True, transfer=ls.config.RelightConfig(gamma=gamma))
-        stage = ls.AvatarLighter(scene, [LIGHT], settings, background=gray, device="cpu")
-        caplog.clear()
-        with caplog.at_level(logging.WARNING, logger="lumisplat"):
-            for x in (0.0, 0.3):
-                stage.light([puppet(x)])
-        assert caplog.text.count("actors appear at 0.21 of their captured brightness") == warnings
-        advice = "RelightConfig.gamma=1.4 shows them half as bright as captured, 4.7 as bright (in a scene.toml"
-        assert (advice in caplog.text) == bool(warnings)
+    normals = puppet().gaussians.means / np.float32(0.4)
+    upper = replace(puppet(), gaussians=replace(puppet().gaussians, normals=normals))
+    pose = np.array(upper.transform)
+    pose[1, 3] = -0.5
+    lower = replace(upper, world_from_object=pose)
+    sun = sunny((0.0, -1.0, 0.0))
+    lit = {}
+    for shadows in (True, False):
+        settings = config(relight=True, shadows=shadows)
+        stage = ls.AvatarLighter(scene, [sun], settings, background=(0.5, 0.5, 0.5), device="cpu")
+        placed = stage.light([upper, lower]).splats[1:]
+        lit[shadows] = [light_left(upper.gaussians, one.gaussians) for one in placed]
+    around = decode_srgb(np.array(0.5))
+    facing = normals[:, 1] > 0.5
+    np.testing.assert_allclose(lit[False][1][facing], lit[False][0][facing], atol=5e-3)
+    np.testing.assert_allclose(lit[True][0][facing], lit[False][0][facing], atol=0.02)  # no acne
+    assert np.median(lit[True][1][facing]) < around + 0.03 and np.median(lit[False][1][facing]) > around + 0.3
+
+
+def test_normals_of_a_sequence_are_those_of_its_first_frame_turned_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A figure whose every frame is a new object is estimated once; the sides follow its turn."""
+    first = puppet().gaussians
+    turn = np.array([np.cos(0.6), 0.0, np.sin(0.6), 0.0])
+    frames = [first]
+    for _ in range(3):
+        frames.append(transformed(frames[-1], turn))
+    estimate, calls = avatar_lighter.estimate_normals, []
+    monkeypatch.setattr(avatar_lighter, "estimate_normals", lambda *given: calls.append(1) or estimate(*given))
+    stage = lighter(ls.Scene(splats=[floor()]), relight=True)
+    found = [stage._normals_of(0, frame) for frame in frames]  # pyright: ignore[reportPrivateUsage]
+    assert len(calls) == 1
+    for normals, frame in zip(found, frames, strict=True):
+        np.testing.assert_allclose(normals, found[0] @ turn_between(first, frame).T, atol=1e-5)
 
 
 def test_light_that_actors_hide_from_the_whole_capture_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -457,16 +527,20 @@ def ball_in(scene: ls.Scene, lights: list[Light], **changes: object) -> np.ndarr
     return light_left(actor.gaussians, white.light([actor]).splats[-1].gaussians)
 
 
-def test_directional_light_adds_its_irradiance_to_relit_actors_unless_disabled() -> None:
-    """A sun of irradiance pi / 2 adds half the cosine; local lights, or suns without ``sun_on_actors``, add nothing."""
+def test_given_lights_add_their_irradiance_to_relit_actors_unless_disabled() -> None:
+    """A sun of irradiance pi / 2 adds half the cosine, a lamp its candela over squared distance times the cosine."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     sun = sunny((0.0, -1.0, 0.0))
     upwards = puppet().gaussians.means[:, 1] / 0.4
     around = decode_srgb(np.array(0.5))
     lit = ball_in(scene, [sun])
     np.testing.assert_allclose(lit, around + 0.5 * np.maximum(upwards, 0.0), atol=5e-3)
-    np.testing.assert_allclose(ball_in(scene, [sun], sun_on_actors=False), around, atol=5e-3)
-    np.testing.assert_allclose(ball_in(scene, [LIGHT]), around, atol=5e-3)
+    np.testing.assert_allclose(ball_in(scene, [sun], lights_on_actors=False), around, atol=5e-3)
+    offsets = np.array(LIGHT.position) - (puppet().gaussians.means + np.array((0.0, 1.0, 0.0)))
+    distances = np.linalg.norm(offsets, axis=1)
+    cosines = np.einsum("ni,ni->n", offsets, puppet().gaussians.means / 0.4) / distances
+    arriving = 9.0 / distances**2 * np.maximum(cosines, 0.0) / np.pi
+    np.testing.assert_allclose(ball_in(scene, [LIGHT]), around + arriving, atol=0.01)
 
 
 def test_sun_blocked_by_the_scene_does_not_light_actors(caplog: pytest.LogCaptureFixture) -> None:
@@ -474,7 +548,7 @@ def test_sun_blocked_by_the_scene_does_not_light_actors(caplog: pytest.LogCaptur
     roof = captured(np.array([0.0, 3.0, 0.0]) + floor(cells=41).means, np.zeros(3), opacity=1.0, scale=0.1)
     sun = sunny((0.0, -1.0, 0.0))
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
-        under, without = (ball_in(ls.Scene(splats=[roof]), [sun], sun_on_actors=on) for on in (True, False))
+        under, without = (ball_in(ls.Scene(splats=[roof]), [sun], lights_on_actors=on) for on in (True, False))
     np.testing.assert_allclose(under, without, atol=5e-3)
     assert caplog.text.count("light 'sun' does not reach an actor") == 1
     assert "shadow_distance" in caplog.text
@@ -494,9 +568,9 @@ def test_sun_adds_to_relit_actors_only_irradiance_that_their_probe_does_not_cont
     probe = ls.avatars.EnvironmentProbe.fit(directions, spot)
     held = (probe.irradiance((0.0, 1.0, 0.0)) - np.pi * probe.coefficients[0] * SH_C0)[0]
     assert held > 0.5
-    for intensity, left in ((0.5 * held, 0.0), (3.0 * held, 2.0 * held)):
-        np.testing.assert_allclose(sun_beyond(probe, sunny((0, -1, 0), intensity)), left, atol=2e-3)
-    np.testing.assert_allclose(sun_beyond(probe, sunny((0, 1, 0), 1.0)), 1.0)
+    for intensity, left in ((0.5 * held, 0.0), (3.0 * held, 2.0 / 3.0)):
+        assert share_beyond(probe, sunny((0, -1, 0), intensity), np.zeros(3)) == pytest.approx(left, abs=2e-3)
+    assert share_beyond(probe, sunny((0, 1, 0), 1.0), np.zeros(3)) == pytest.approx(1.0)
 
 
 def test_actors_cast_shadows_of_an_estimated_sun_if_no_local_light_is_found(caplog: pytest.LogCaptureFixture) -> None:
@@ -521,8 +595,11 @@ def points_of_sphere(center: tuple[float, float, float], radius: float) -> tuple
     return center + radius * normals, normals
 
 
-def test_relighting_an_actor_lowers_its_light_metrics_by_at_least_a_fifth() -> None:
-    """A figure lit bluish from the side is relit among diffuse balls below a reddish ceiling."""
+def test_relighting_an_actor_lowers_its_light_metrics() -> None:
+    """A figure lit bluish from the side is relit among diffuse balls below a reddish ceiling.
+
+    The direction and the colour of its light agree better by a fifth. APF-Y must not rise: it is linear in brightness.
+    """
     reddish, steps = np.array([1.0, 0.8, 0.6]), np.linspace(-8.0, 8.0, 33)
     ceiling = np.stack(np.meshgrid(steps, [2.5], steps, indexing="ij"), axis=-1).reshape(-1, 3)
     sets = [captured(ceiling, reddish, opacity=0.99, scale=0.4)]
@@ -538,6 +615,6 @@ def test_relighting_an_actor_lowers_its_light_metrics_by_at_least_a_fifth() -> N
     lighter = ls.AvatarLighter(scene, config=settings, background=(0.0, 0.0, 0.0), device="cpu")
     relit = lighter.light([figure]).splats[-1]
     around = ls.metrics.LitPoints.of(scene, around=np.zeros(3), radius=1.5)
-    for metric in (ls.metrics.paa_y, ls.metrics.apf_y, ls.metrics.ncm_ab):
+    for metric, most in ((ls.metrics.paa_y, 0.8), (ls.metrics.apf_y, 1.0), (ls.metrics.ncm_ab, 0.8)):
         before, after = (metric(ls.metrics.LitPoints.of(one), around, radius=1.5) for one in (figure, relit))
-        assert after < 0.8 * before, (metric.__name__, before, after)
+        assert after < most * before, (metric.__name__, before, after)

@@ -113,8 +113,10 @@ class RelightConfig:
     """Exponent q of the cosine lobe about the normal that gathers light: 1 is matt, more is glossier."""
     scale_max: Annotated[float, Range(0.0, 1000.0)] = 4.0
     """Upper bound t_max of the factor by which light multiplies a Gaussian's colour, before ``gamma``."""
-    gamma: Annotated[float, Range(0.0, 1000.0)] = 1.0
-    """Linear factor of all light. At 1, an environment of radiance 1 (display white) leaves colours unchanged."""
+    gamma: Annotated[float, Range(0.0, 1000.0)] | None = None
+    """Linear factor of all light: at 1, an environment of radiance 1 (display white) leaves colours unchanged. None:
+    `AvatarLighter` estimates it for each actor, so that the actor is as bright as its surroundings; `relight` takes 1.
+    """
     normals: NormalEstimate = NormalEstimate.AUTO
     """Source of the normals, if none are given."""
     rows: Annotated[int, Range(8, 128)] = 16
@@ -204,10 +206,10 @@ class AvatarLightingConfig:
     one light, shadows equal those of Mir et al. (2026): black where no light passes."""
     relight: bool = True
     """Relights actors by the light at their position."""
-    sun_on_actors: bool = True
-    """Lights actors made of Gaussians by given suns, too, with the suns' own irradiance (pi: white paper that faces
-    them is display white). The scene can block suns; the sunlight that the light probe already holds is not added
-    again."""
+    lights_on_actors: bool = True
+    """Lights actors made of Gaussians by given lights, too, with the lights' own irradiance (pi: white paper that faces
+    them is display white). The scene can block lights, and actors shadow each other and themselves; the part of a light
+    that the light probe already holds is not added again."""
     transfer: RelightConfig = field(default_factory=RelightConfig)
     """Settings of the transfer of a light probe's radiance to actors."""
     light_count: Annotated[int, Range(1, 64)] = 3

@@ -129,10 +129,10 @@ def shadowed(
     outside = np.count_nonzero((checked < 0.0) | (checked > 1.0))
     if outside:
         raise SceneError(f"transmittances: {outside:,} of {checked.size:,} are outside 0..1")
-    return scale_light_of(receivers, _light_factors(_light_shares(lights, instance), checked, direct))
+    return scale_light_of(receivers, light_factors(light_shares(lights, instance), checked, direct))
 
 
-def _light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:
+def light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:
     """Returns each of L lights' fraction of the unshadowed irradiance at N Gaussians, shape (L, N, 3).
 
     Every Gaussian counts as facing every light, because normals of captures are unreliable. Fractions are 0 where no
@@ -151,7 +151,7 @@ def _light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArr
     return np.divide(arriving, total, out=np.zeros_like(arriving), where=total > 0.0).astype(np.float32)
 
 
-def _light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating], direct: float) -> FloatArray:
+def light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating], direct: float) -> FloatArray:
     """Returns ``1 - direct sum_l share_l (1 - T_l)``, the shadow factor of N Gaussians' colours, shape (N, 3).
 
     Args:
@@ -209,7 +209,7 @@ class ActorShadows:
         self._maps: list[DeepShadowMap] = []
         """Deep shadow map of the actors for each light, rebuilt every frame; empty until the first frame with actors.
         """
-        self._shares = [_light_shares(self._lights, receiver) for receiver in self._receivers]
+        self._shares = [light_shares(self._lights, receiver) for receiver in self._receivers]
         self._origin = rendered_frame(Scene(self._receivers))[0].origin
         """World position of the local coordinates in which actors' Gaussians are stored as float32, shape (3,)."""
         self._means = [receiver.world_means for receiver in self._receivers]
@@ -234,7 +234,7 @@ class ActorShadows:
         ends = np.cumsum([len(means) for means in self._means])
         parts = np.split(transmittances, ends[:-1], axis=1)
         return [
-            scale_light_of(receiver, _light_factors(shares, part, self._direct))
+            scale_light_of(receiver, light_factors(shares, part, self._direct))
             for receiver, shares, part in zip(self._receivers, self._shares, parts, strict=True)
         ]
 

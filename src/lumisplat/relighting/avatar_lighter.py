@@ -9,30 +9,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AvatarLightingConfig
+from lumisplat.config import AvatarLightingConfig, NormalEstimate
 from lumisplat.config.checks import check_kind
 from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.errors import SceneError
+from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress
+from lumisplat.relighting.actor_light import ActorLight
 from lumisplat.relighting.actors import ActorShadows, PlacedActor, actor_flags, casting_lights, centroid, placed_actors
 from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
-from lumisplat.relighting.probe import EnvironmentProbe, ProbeCache
-from lumisplat.relighting.probe_transfer import SunOnActors, light_scales
+from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
 from lumisplat.renderer.scene.materials import emits_capture_only
+from lumisplat.scene.animation.correspondence import carried_normals, correspond
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
+from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.colors import scale_light_of
 from lumisplat.scene.ops.normals import estimate_normals
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_lights
 
 _log = logging.getLogger("lumisplat")
-
-_DARK = 0.3
-"""A warning reports a dark actor if the mean factor by which relighting multiplies the actor's captured colours is
-below this.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +41,8 @@ class _LightRoles:
     estimated."""
     on_meshes: tuple[Light, ...]
     """Lights that illuminate mesh actors, if the frame does not keep the scene's own lights."""
+    given: tuple[Light, ...]
+    """Lights that the user or the scene gives, which light actors made of Gaussians."""
     uses_scene_lights: bool
     """True if a mesh or capture of the scene reflects the scene's own lights: these lights then light every frame."""
 
@@ -59,13 +58,14 @@ class _LightRoles:
             # If nothing in the scene reflects its lights, they describe the light of the capture.
             are_captured = not scene.meshes and all(map(emits_capture_only, scene.splats))
             on_meshes = enabled if are_captured else ()
-            return cls(casting_lights(scene.lights) or None, on_meshes, bool(enabled) and not are_captured)
+            return cls(casting_lights(scene.lights) or None, on_meshes, enabled, bool(enabled) and not are_captured)
         given = checked_lights(lights)
         if not casting_lights(given):
             raise SceneError(
                 "none of the lights can cast shadows: expected one that is enabled, casts shadows and is no environment"
             )
-        return cls(casting_lights(given), tuple(light for light in given if light.enabled), bool(enabled))
+        lights = tuple(light for light in given if light.enabled)
+        return cls(casting_lights(given), lights, lights, bool(enabled))
 
 
 class AvatarLighter:
@@ -73,9 +73,13 @@ class AvatarLighter:
 
     Captured Gaussians receive the shadows of all actors, through one deep shadow map per light that is rebuilt every
     frame. The scene's meshes, as objects placed after the capture, cast shadows on captured Gaussians, too. Actors made
-    of Gaussians are relit by an environment probe of the scene at their position. Given suns light such actors, too, as
-    far as the scene does not block a sun and the probe does not already contain it. Actors shadow neither each other
-    nor themselves.
+    of Gaussians are relit by an environment probe of the scene at their position. Given lights light such actors, too,
+    as far as the scene does not block a light and the probe does not already contain it. Such actors are in the shadows
+    of all actors, by rays. Unless ``transfer.gamma`` is given, each actor gets an exposure when it is first lit, so
+    that it is as bright as its surroundings (docs/method/relighting.md#exposure).
+
+    Normals of Gaussians that have none are estimated when an actor is first lit, and carried on to later frames with
+    the same Gaussians. Frames of a sequence therefore begin with its first: other frames then do not depend on order.
 
     Actors that are meshes stay meshes; frames with mesh actors are lit frames. The lights, and a probe at the meshes'
     position for the rest of the light, illuminate all meshes without shadows; captures stay unlit. If the scene's
@@ -129,16 +133,16 @@ class AvatarLighter:
         """Sun found by `estimate_sun`. None: lights were given, local lights were found, or the search has not run
         yet."""
         self._device, self._progress = device, progress
-        self._probes = ProbeCache(scene, background, device, progress)
-        suns = [light for light in self.lights or () if isinstance(light, LightDirectional)]
-        self._suns = SunOnActors(scene, suns, device, progress) if suns and self.config.sun_on_actors else None
+        given = self._roles.given if self.config.lights_on_actors else ()
+        self._actor_light = ActorLight(
+            scene, given, self.config, background=background, device=device, progress=progress
+        )
+        self._probes = self._actor_light.probes
         self._receivers = _receivers(scene, self._roles.uses_scene_lights)
         self._shadows: ActorShadows | None = None
         """Shadow maps of actors on the captures; None until a frame needs them."""
-        self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
-        """Cache of estimated normals of the last frame's actors, by Python id of the actor's `Gaussians`. An entry
-        also holds the `Gaussians`, so that the id stays valid."""
-        self._warned_of_darkness = False
+        self._normals: dict[int, tuple[Gaussians, FloatArray]] = {}
+        """Gaussians of each actor when it was first lit, and their normals, by the actor's position in the list."""
 
     def light(
         self,
@@ -169,15 +173,17 @@ class AvatarLighter:
         casts = actor_flags("casts_shadow", casts_shadow, len(placed))
         casting = [actor for actor, flag in zip(placed, casts, strict=True) if flag]
         takes_light = actor_flags("relit", relit, len(placed))
-        self._forget_normals(placed)
         uses_scene_lights = self._uses_scene_lights(placed)
-        splats = [
-            self._relight(actor) if flag and (emits_capture_only(actor) or not uses_scene_lights) else actor
-            for actor, flag in zip(placed, takes_light, strict=True)
-            if isinstance(actor, SplatInstance)
-        ]
         meshes = [actor for actor in placed if isinstance(actor, MeshInstance)]
         sets = self._darken(casting)
+        self._actor_light.config = self.config
+        splats = [
+            self._relight(number, actor, casting)
+            if flag and (emits_capture_only(actor) or not uses_scene_lights)
+            else actor
+            for number, (actor, flag) in enumerate(zip(placed, takes_light, strict=True))
+            if isinstance(actor, SplatInstance)
+        ]
         if uses_scene_lights:
             lights = self.scene.lights
         elif meshes:
@@ -239,43 +245,28 @@ class AvatarLighter:
         scale = irradiance / self.config.estimation.irradiance
         return tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
 
-    def _relight(self, actor: SplatInstance) -> SplatInstance:
-        """Returns an actor with colours scaled by the probe at its position, plus the suns that the probe lacks."""
+    def _relight(self, number: int, actor: SplatInstance, casters: Sequence[PlacedActor]) -> SplatInstance:
+        """Returns an actor with its colours scaled by the light at its position; ``number`` counts the actors."""
         if not self.config.relight:
             return actor
-        # Estimating normals is expensive, and those of a moving actor stay the same.
-        key, gaussians = id(actor.gaussians), actor.gaussians
-        if key not in self._normals:
-            self._normals[key] = gaussians, estimate_normals(gaussians, self.config.transfer.normals)
-        probe = self._probes.at(centroid([actor]))
-        transfer = self.config.transfer
-        normals = (self._normals[key][1] @ actor.transform[:3, :3].T / actor.scale).astype(np.float32)
-        scales = light_scales(probe, normals, transfer)
-        if self._suns is not None:
-            scales = np.minimum(scales + self._suns.scales(actor, probe, normals), np.float32(transfer.scale_max))
-        self._warn_of_darkness(float((scales @ np.array(LUMINANCE)).mean()))
-        return scale_light_of(actor, transfer.gamma * scales)
+        normals = self._normals_of(number, actor.gaussians) @ actor.transform[:3, :3].T / actor.scale
+        lights = self.lights if self.config.shadows and self.lights is not None else ()
+        scales = self._actor_light.scales(number, actor, normals.astype(np.float32), casters, lights)
+        return scale_light_of(actor, scales)
 
-    def _forget_normals(self, actors: list[PlacedActor]) -> None:
-        """Drops cached normals of Gaussians that no actor of this frame has."""
-        present = {id(actor.gaussians) for actor in actors if isinstance(actor, SplatInstance)}
-        self._normals = {key: held for key, held in self._normals.items() if key in present}
-
-    def _warn_of_darkness(self, mean: float) -> None:
-        """Warns once if ``mean``, the mean light factor of an actor, times ``gamma`` is below `_DARK`."""
-        if not self._warned_of_darkness and mean * self.config.transfer.gamma < _DARK:
-            self._warned_of_darkness = True
-            gamma = self.config.transfer.gamma
-            message = (
-                f"actors appear at {gamma * mean:.2g} of their captured brightness, because the light at their "
-                f"position is {mean:.2g} of display white"
-            )
-            if mean > 1e-3:
-                message += (
-                    f": RelightConfig.gamma={_DARK / mean:.2g} shows them half as bright as captured, "
-                    f"{1.0 / mean:.2g} as bright (in a scene.toml: gamma in [animation.lighting.transfer])"
-                )
-            _log.warning("%s", message)
+    def _normals_of(self, number: int, gaussians: Gaussians) -> FloatArray:
+        """Returns the object-space normals of an actor: its own, carried from when it was first lit, or estimated."""
+        method = self.config.transfer.normals
+        if method is NormalEstimate.AUTO and gaussians.normals is not None:
+            return gaussians.normals
+        if number in self._normals:
+            first, normals = self._normals[number]
+            if first is gaussians:
+                return normals
+            if correspond(first, gaussians):
+                return carried_normals(normals, first, gaussians)
+        self._normals[number] = gaussians, estimate_normals(gaussians, method)
+        return self._normals[number][1]
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
         """Returns the lights of mesh actors, and an environment for indirect light from a probe at their centroid.

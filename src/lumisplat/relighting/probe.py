@@ -124,6 +124,33 @@ class EnvironmentProbe:
             DeviceError: There is no such device, or it is out of memory.
             SceneError: The scene is of another type, or the position or every pixel is not finite.
         """
+        return cls.capture_with_open(
+            scene,
+            position,
+            degree,
+            face_px=face_px,
+            ridge=ridge,
+            near=near,
+            config=config,
+            device=device,
+            renderer=renderer,
+        )[0]
+
+    @classmethod
+    def capture_with_open(
+        cls,
+        scene: Scene,
+        position: npt.ArrayLike,
+        degree: int = 3,
+        *,
+        face_px: int = PROBE_FACE_PX,
+        ridge: float = PROBE_RIDGE,
+        near: float = NEAR_PLANE,
+        config: RenderConfig | None = None,
+        device: str = "auto",
+        renderer: Renderer | None = None,
+    ) -> tuple[EnvironmentProbe, EnvironmentProbe]:
+        """Returns what `capture` returns, and a probe of radiance 1 in the directions that the scene leaves open."""
         check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
         check_whole("face_px", face_px, 4, 1024)
         check_range("near", near, 1e-9, 1e9)
@@ -138,7 +165,11 @@ class EnvironmentProbe:
             # Without lights, meshes get a headlight or captured light: the probe must not hold either.
             renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)
         samples = render_cube(scene, center, renderer.render, int(face_px), float(near))
-        return cls(_fit(samples.directions, samples.radiance, samples.weights, degree, ridge))
+        uncovered = np.repeat(1.0 - samples.alpha.astype(np.float64)[:, None], 3, axis=1)
+        return (
+            cls(_fit(samples.directions, samples.radiance, samples.weights, degree, ridge)),
+            cls(_fit(samples.directions, uncovered, samples.weights, degree, ridge)),
+        )
 
     @classmethod
     def fit(
@@ -381,15 +412,22 @@ class ProbeCache:
         self._device, self._progress = device, progress
         self._renderer: Renderer | None = None
         """Renderer of the probes, created for the first probe, so that scenes without probes load no kernels."""
-        self._probes: dict[bytes, EnvironmentProbe] = {}
+        self._probes: dict[bytes, tuple[EnvironmentProbe, EnvironmentProbe]] = {}
 
     def at(self, center: npt.NDArray[np.float64]) -> EnvironmentProbe:
         """Returns the probe at a world position, shape (3,): rendered now, or kept from an earlier call."""
+        return self._pair(center)[0]
+
+    def open_at(self, center: npt.NDArray[np.float64]) -> EnvironmentProbe:
+        """Returns a probe with radiance 1 in the directions that the scene leaves open at a position, shape (3,)."""
+        return self._pair(center)[1]
+
+    def _pair(self, center: npt.NDArray[np.float64]) -> tuple[EnvironmentProbe, EnvironmentProbe]:
         key = center.tobytes()
         if key not in self._probes:
             if self._renderer is None:
                 self._renderer = create_renderer(self._config, self._device, progress=self._progress)
             if len(self._probes) >= _PROBES_CACHED:
                 self._probes.clear()
-            self._probes[key] = EnvironmentProbe.capture(self._scene, center, renderer=self._renderer)
+            self._probes[key] = EnvironmentProbe.capture_with_open(self._scene, center, renderer=self._renderer)
         return self._probes[key]

@@ -1,38 +1,24 @@
-"""Relights Gaussians: scales their colours by an environment probe, and adds suns that the probe does not contain.
-
-Sources: docs/method/relighting.md#transfer and #sun.
-"""
+"""Relights Gaussians: scales their colours by an environment probe (docs/method/relighting.md#transfer)."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RelightConfig, RenderConfig
+from lumisplat.config import RelightConfig
 from lumisplat.config.checks import check_kind
-from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.errors import check_instance, check_shapes
 from lumisplat.math.arrays import Doubles, FloatArray, float_array, normalise_rows
 from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import sh_basis
-from lumisplat.progress import Progress
 from lumisplat.relighting.probe import EnvironmentProbe
-from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.ops.colors import Subject, scale_light_of
 from lumisplat.scene.ops.normals import estimate_normals
-from lumisplat.scene.scene import Scene, SplatInstance
-
-# Suns on actors (docs/method/relighting.md#sun)
-
-SUN_RAYS = 256
-"""Maximum number of shadow rays from an actor towards a sun."""
+from lumisplat.scene.scene import SplatInstance
 
 _NORMALS_AT_ONCE = 1024
 """Number of normals whose lobes are in memory at once: 2 MB with 16 grid rows, which fits the CPU cache."""
@@ -93,7 +79,8 @@ def relight(
     else:
         object_normals = float_array("normals", normals)
         check_shapes(means=(gaussians.means, "N 3"), normals=(object_normals, "N 3"))
-    return scale_light_of(subject, config.gamma * light_scales(probe, object_normals @ world_from_object.T, config))
+    gamma = 1.0 if config.gamma is None else config.gamma
+    return scale_light_of(subject, gamma * light_scales(probe, object_normals @ world_from_object.T, config))
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
@@ -145,85 +132,3 @@ def _grid(rows: int) -> _Grid:
     for array in (directions, weights):
         array.flags.writeable = False
     return _Grid(directions, weights)
-
-
-_log = logging.getLogger("lumisplat")
-
-_BLOCKED_BELOW = 1e-3
-"""A warning reports that the scene hides a sun from an actor if the mean transmittance towards the sun is below this.
-"""
-
-
-class SunOnActors:
-    """Computes the irradiance from suns on actors, less the part that the probe at an actor already contains.
-
-    Args:
-        scene: The scene without actors, which may block the suns.
-        suns: The suns.
-        device: As for `create_renderer`.
-        progress: Called with a label and a fraction 0..1, while kernels compile.
-    """
-
-    def __init__(self, scene: Scene, suns: Sequence[LightDirectional], device: str, progress: Progress | None) -> None:
-        self._scene, self._suns = scene, tuple(suns)
-        self._device, self._progress = device, progress
-        self._renderer: Renderer | None = None
-        """Traces shadow rays to the suns; None until the first actor is lit."""
-        self._has_warned = False
-
-    def scales(self, actor: SplatInstance, probe: EnvironmentProbe, normals: FloatArray) -> FloatArray:
-        """Returns the irradiance over pi that suns add at N Gaussians of an actor, less the part in the probe, (N, 3).
-
-        The result is to be added to the factors of `light_scales`.
-
-        Args:
-            actor: The actor.
-            probe: Probe at the actor's position.
-            normals: Unit normals, world space, shape (N, 3).
-        """
-        total = np.zeros(normals.shape, np.float32)
-        for sun in self._suns:
-            visibility = self._visibility(actor, sun)
-            self._warn_if_blocked(sun, visibility)
-            arriving = sun_beyond(probe, sun) * visibility
-            cosines = np.maximum(normals @ -np.array(sun.direction, np.float32), np.float32(0.0))
-            total += cosines[:, None] * (arriving / np.pi).astype(np.float32)
-        return total
-
-    def _visibility(self, actor: SplatInstance, sun: LightDirectional) -> float:
-        """Returns the mean transmittance, 0..1, of up to `SUN_RAYS` rays from an actor's Gaussians to a sun."""
-        if self._renderer is None:
-            self._renderer = create_renderer(
-                RenderConfig(pipeline=Pipeline.TRACE), self._device, progress=self._progress
-            )
-        means = actor.world_means
-        # Evenly spaced indices: the same Gaussians in every frame.
-        starts = means[np.linspace(0, len(means) - 1, min(SUN_RAYS, len(means))).astype(np.int64)]
-        directions = np.broadcast_to(-np.array(sun.direction), starts.shape)
-        return float(self._renderer.transmittance(self._scene, starts, directions, sun.shadow_distance).mean())
-
-    def _warn_if_blocked(self, sun: LightDirectional, visibility: float) -> None:
-        """Warns once if ``visibility`` of a sun is nearly 0: the scene, perhaps a captured sky, blocks it."""
-        if visibility < _BLOCKED_BELOW and not self._has_warned:
-            self._has_warned = True
-            name = f"light '{sun.name}'" if sun.name else "the sun"
-            text = "%s does not reach an actor: the scene blocks it; if a captured sky does, set shadow_distance"
-            _log.warning(text, name)
-
-
-def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> Doubles:
-    """Returns the linear irradiance, shape (3,), of a sun on a surface that faces it, less the part in the probe.
-
-    The luminance of the result is ``E_sun - min(E_sun, max(E_probe - pi L_mean, 0))``. E_probe is the probe's
-    irradiance on the surface, and L_mean the probe's mean radiance. All channels are scaled alike. The excess of the
-    probe may also come from a captured lamp or the bright sky around the sun.
-    """
-    towards = -np.array([sun.direction])
-    weights = np.array(LUMINANCE)
-    facing = float(probe.irradiance(towards)[0] @ weights)
-    constant = np.pi * float(SH_C0 * probe.coefficients[0] @ weights)
-    irradiance = sun.intensity * np.array(sun.color)
-    arriving = float(irradiance @ weights)
-    if arriving <= 0.0:
-        return np.zeros(3)
-    return irradiance * max(0.0, 1.0 - max(0.0, facing - constant) / arriving)

@@ -41,6 +41,8 @@ class CubeSamples(NamedTuple):
     """Linear Rec.709 radiance from each of N directions, shape (N, 3)."""
     weights: Doubles
     """Solid angle that each of N directions stands for, steradians, shape (N,)."""
+    alpha: FloatArray
+    """Coverage of each of N directions by the scene, 0..1, shape (N,)."""
 
 
 class CubeFaces(NamedTuple):
@@ -109,8 +111,8 @@ def render_cube(
         raise SceneError("all pixels of a probe are infinite or NaN: make colours and lights of the scene smaller")
     if not finite.all():
         _log.warning("%d pixels of a probe's faces are not finite and are left out", np.count_nonzero(~finite))
-        return CubeSamples(cube.directions[finite], radiance[finite], cube.weights[finite])
-    return CubeSamples(cube.directions, radiance, cube.weights)
+        return CubeSamples(cube.directions[finite], radiance[finite], cube.weights[finite], alpha[finite])
+    return CubeSamples(cube.directions, radiance, cube.weights, alpha)
 
 
 def face_pixels(directions: Doubles, face_px: int) -> IntArray:

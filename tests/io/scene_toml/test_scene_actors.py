@@ -46,12 +46,12 @@ def test_every_key_of_a_scene_file_actor_is_read(folder: Path) -> None:
         "[[actors.keyframes]]\ntime = 4\nposition = [0, 0, 3]\n"
         "[[cameras]]\neye = [0, 0, 5]\ntarget = [0, 0, 0]\n"
         "[animation]\nfps = 5\n[animation.lighting]\ndirect = 0.25\nshadow_map = { bins = 16 }\n"
-        "sun_on_actors = false\n",
+        "lights_on_actors = false\n",
     )
     (actor,) = animation.actors
     assert (actor.name, actor.clip, actor.speed) == ("one", "carry", 2.0)
     assert not (actor.loop or actor.casts_shadow or actor.relight)
-    assert ls.config.AvatarLightingConfig().sun_on_actors and not animation.lighting.sun_on_actors
+    assert ls.config.AvatarLightingConfig().lights_on_actors and not animation.lighting.lights_on_actors
     assert animation.lighting.direct == 0.25 and animation.lighting.shadow_map.bins == 16
     assert (animation.fps, animation.frame_count) == (5.0, 20)  # until the last keyframe
     assert len(animation.cameras) == 1

@@ -183,10 +183,6 @@ def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
 
 _log = logging.getLogger("lumisplat")
 
-_SURROUNDED_STOPS = 1.4
-"""Result of `estimate_capture_gain`, in stops, up to which captures count as surrounding the actors, so that no gain
-is added. It results where captures cover three quarters of all directions."""
-
 
 class _AnimationFrames:
     """Renders and writes the frames of an animation.
@@ -251,7 +247,7 @@ class _AnimationFrames:
         """
         self._lighter = ls.AvatarLighter(
             self._animation.scene,
-            config=self._exposed_lighting(),
+            config=self._animation.lighting,
             background=self._source.renderer.config.background or (0.0, 0.0, 0.0),
             device=self._source.renderer.device,
             progress=report,
@@ -263,27 +259,6 @@ class _AnimationFrames:
                 raise
             _log.warning("actors cast no shadows: %s", error)
             self._lighter.config = replace(self._lighter.config, shadows=False)
-
-    def _exposed_lighting(self) -> ls.config.AvatarLightingConfig:
-        """Returns the actor lighting, brightened if captures, the only light, do not surround the actors.
-
-        Sets ``transfer.gamma`` to the estimated gain, unless the user has changed that setting; a warning says so.
-        """
-        config, scene = self._animation.lighting, self._animation.scene
-        start = float(self._animation.times[0])
-        relit = [one for actor in self._animation.actors if actor.relight for one in actor.at(start)]
-        if not relit or scene.lights or not config.relight or config.transfer.gamma != ls.config.RelightConfig().gamma:
-            return config
-        stops = _capture_gain(scene, relit, self._source.renderer.device)
-        if stops <= _SURROUNDED_STOPS:
-            return config
-        _log.warning(
-            "the captures do not surround the actors: their light is brightened by %g stops to compensate, as by "
-            "--set animation.lighting.transfer.gamma=%.3g",
-            stops,
-            2.0**stops,
-        )
-        return replace(config, transfer=replace(config.transfer, gamma=2.0**stops))
 
     def _lit_scene(self, index: int) -> ls.Scene:
         """Returns the scene at the time of a frame number, with actors lit by captures and casting shadows on them."""
@@ -323,24 +298,6 @@ class _AnimationFrames:
             yield
         finally:
             self._seconds[name] += time.perf_counter() - begun
-
-
-def _capture_gain(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance], device: str) -> float:
-    """Returns the gain, in stops, that makes up for directions around the actors in which there is no capture.
-
-    Returns 0 if the scene shows no capture as captured.
-
-    Args:
-        scene: The scene; its unlit captures light the actors.
-        actors: Instances of the actors; the gain is estimated at their centre.
-        device: Device that renders.
-    """
-    around = ls.Scene(splats=tuple(one for one in scene.splats if one.material is None or one.shadow_catcher))
-    if not around.splats:
-        return 0.0
-    low, high = with_actors(ls.Scene(), actors).bulk_bounds()
-    middle = 0.5 * (low + high)
-    return ls.avatars.estimate_capture_gain(around, middle, device=device)
 
 
 def with_actors(scene: ls.Scene, actors: Sequence[ls.SplatInstance | ls.MeshInstance]) -> ls.Scene:

@@ -31,7 +31,7 @@ FORMER_SETTINGS = {
     "--no-jitter": ("jitter=false",),
     "--no-relight": ("animation.lighting.relight=false",),
     "--no-shadows": ("animation.lighting.shadows=false",),
-    "--no-sun-on-actors": ("animation.lighting.sun_on_actors=false",),
+    "--no-sun-on-actors": ("animation.lighting.lights_on_actors=false",),
     "--noise": ("noise",),
     "--normals": ("trace.normal_method",),
     "--primary": ("path.primary",),

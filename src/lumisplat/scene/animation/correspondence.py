@@ -10,16 +10,15 @@ import numpy.typing as npt
 from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.normals import shortest_axes
 
 CORRESPONDING_STEP_MAX = 0.1
 """Gaussians of two frames correspond if their median step is at most this fraction of the median distance of Gaussians
 that are paired at random. Files in another order have a fraction of about 1, a person who walks at 24 frames a second
 0.02."""
 
-TURN_COSINE_MIN = 0.7
-"""Smallest cosine of the angle by which a normal turns between two frames; at larger angles the file is taken to have
-exchanged the Gaussian's axes."""
+SAME_SHAPE_MAX = 0.05
+"""Gaussians of two frames correspond, too, if the median change of their scales (logarithm) and opacity is at most
+this."""
 
 _INTERPOLATED = ("means", "opacities", "sh", "albedo", "roughness", "metallic")
 """Columns whose values are interpolated linearly."""
@@ -28,14 +27,27 @@ _Floats = npt.NDArray[np.floating]
 
 
 def correspond(first: Gaussians, second: Gaussians) -> bool:
-    """Returns whether two frames hold the same Gaussians in the same order: as many, and most of them near by."""
+    """Returns whether two frames hold the same Gaussians in the same order.
+
+    There are as many, and most of them are near by, or have the same scales and opacities, as those of a body that
+    moves far between the frames.
+    """
     if first.count != second.count or first.sh.shape != second.sh.shape or first.count < 2:
         return False
-    shift = np.asarray(second.origin) - np.asarray(first.origin)
     other = np.random.default_rng(0).permutation(first.count)
+    shape, shape_apart = (_median_change_of_shape(first, second, rows) for rows in (np.arange(first.count), other))
+    if shape <= SAME_SHAPE_MAX and shape <= CORRESPONDING_STEP_MAX * shape_apart:
+        return True
+    shift = np.asarray(second.origin) - np.asarray(first.origin)
     step = np.linalg.norm(second.means + shift - first.means, axis=1)
     apart = np.linalg.norm(second.means[other] + shift - first.means, axis=1)
     return bool(np.median(step) <= CORRESPONDING_STEP_MAX * np.median(apart))
+
+
+def _median_change_of_shape(first: Gaussians, second: Gaussians, rows: npt.NDArray[np.integer]) -> float:
+    """Returns the median change of scales (logarithm) and opacity from Gaussians to those in ``rows`` of a frame."""
+    scales = np.abs(np.log(second.scales[rows] / first.scales)).max(axis=1)
+    return float(np.median(scales + np.abs(second.opacities[rows] - first.opacities)))
 
 
 def interpolated(first: Gaussians, second: Gaussians, share: float) -> Gaussians:
@@ -68,8 +80,7 @@ def interpolated(first: Gaussians, second: Gaussians, share: float) -> Gaussians
 def carried_normals(normals: _Floats, first: Gaussians, second: Gaussians) -> FloatArray:
     """Returns the normals of a frame from those of a frame before it whose Gaussians correspond.
 
-    A normal turns with its Gaussian. Where that turn is implausibly large, because the file exchanges the axes of a
-    Gaussian, the shortest axis of the new frame is taken, on the side of the normal before.
+    A normal turns with its Gaussian: with its rotation from the first frame to the second.
 
     Args:
         normals: Unit normals of the first frame, shape (N, 3).
@@ -77,11 +88,8 @@ def carried_normals(normals: _Floats, first: Gaussians, second: Gaussians) -> Fl
         second: The frame whose normals are returned.
     """
     before, after = (matrices_from_quaternions(frame.rotations_wxyz) for frame in (first, second))
-    turned = np.einsum("nij,nj->ni", after, np.einsum("nji,nj->ni", before, normals))
-    axes = shortest_axes(second)
-    axes *= np.where(np.einsum("ni,ni->n", axes, normals) < 0.0, -1.0, 1.0)[:, None]
-    is_plausible = np.einsum("ni,ni->n", turned, normals) >= TURN_COSINE_MIN
-    return read_only_view(np.where(is_plausible[:, None], turned, axes).astype(np.float32))
+    in_gaussian = np.einsum("nji,nj->ni", before, normals)
+    return read_only_view(np.einsum("nij,nj->ni", after, in_gaussian).astype(np.float32))
 
 
 def _unit(vectors: _Floats) -> _Floats:

@@ -148,7 +148,8 @@ class SceneBuilder:
             device=self._device,
             progress=self._progress,
         )
-        if level == 0 and lighter.lights is None:
+        if level == 0:
+            # Lights, exposures and normals are those of frame 0, whatever is shown first.
             lighter.light([instance for actor in animation.actors for instance in actor.at(0.0)])
         stage.lighters[level] = still, lighter
         return lighter
