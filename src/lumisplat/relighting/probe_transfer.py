@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.config import RelightConfig
 from lumisplat.config.checks import check_kind
+from lumisplat.constants import SH_C0
 from lumisplat.errors import check_instance, check_shapes
 from lumisplat.math.arrays import Doubles, FloatArray, float_array, normalise_rows
 from lumisplat.math.directions import panorama_directions
@@ -87,7 +88,8 @@ def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: Religh
     """Averages a probe's radiance over a lobe ``max(0, w . n)^exponent`` of directions w about each of N normals n.
 
     The probe's mean radiance is subtracted before the average and added afterwards, so that constant light has no
-    rounding error. Source: docs/method/relighting.md#transfer-scale.
+    rounding error. For an exponent of 1 the average is the irradiance over pi, in closed form
+    (`EnvironmentProbe.irradiance`). Source: docs/method/relighting.md#transfer-scale.
 
     Args:
         probe: The probe.
@@ -105,6 +107,11 @@ def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: Religh
     checked = float_array("normals", normals)
     check_shapes(normals=(checked, "N 3"))
     unit = normalise_rows("normals", checked)
+    if config.exponent == 1.0:
+        mean = SH_C0 * probe.coefficients[0]
+        varying = EnvironmentProbe(np.concatenate([np.zeros((1, 3)), probe.coefficients[1:]]))
+        scales = (mean + varying.irradiance(unit) / np.pi).astype(np.float32)
+        return np.clip(scales, np.float32(0.0), np.float32(config.scale_max))
     grid = _grid(config.rows)
     basis = sh_basis(grid.directions, probe.degree)
     varying = basis[:, 1:] @ probe.coefficients[1:]

@@ -201,3 +201,22 @@ def test_weights_without_gaussians_and_a_skeleton_without_any_are_refused():
         ls.bind_gaussians(two_bones(), weights=np.ones((4, 3)))
     with pytest.raises(ls.SceneError, match="no meshes to cover"):
         ls.bind_gaussians(two_bones())
+
+
+def test_a_rig_of_joints_takes_world_rotations_and_refuses_broken_trees():
+    """Joints turn as the given world rotations say; the root moves; a later parent and two roots are refused."""
+    joints: dict = {"hip": (None, (0.0, 1.0, 0.0)), "knee": ("hip", (0.0, 0.5, 0.0)), "foot": ("knee", (0.1, 0.0, 0.0))}
+    turns = Rotation.from_quat(RNG.standard_normal((2, 3, 4)).reshape(-1, 4))
+    wxyz = np.roll(turns.as_quat(), 1, axis=1).reshape(2, 3, 4)
+    rig = ls.avatars.Rig.of_joints(joints, [0.0, 2.0], 3.0 * wxyz, [(0.0, 1.0, 0.0), (5.0, 1.0, 0.0)])
+    assert (rig.clips, rig.duration()) == (("motion",), 2.0)
+    world = rig.pose_at(2.0).world_from_node
+    np.testing.assert_allclose(world[:, :3, :3], turns.as_matrix()[3:], atol=1e-12)
+    knee = turns[3].apply([0.0, -0.5, 0.0]) + [5.0, 1.0, 0.0]
+    np.testing.assert_allclose(world[2, :3, 3], turns[4].apply([0.1, -0.5, 0.0]) + knee, atol=1e-12)
+    still = ls.avatars.Rig.of_joints(joints)
+    np.testing.assert_allclose(still.pose_at(0.0).world_from_node[:, :3, 3], [at for _, at in joints.values()])
+    with pytest.raises(ls.SceneError, match="joint 'knee' has the parent 'toe', expected the name of an earlier joint"):
+        ls.avatars.Rig.of_joints(joints | {"knee": ("toe", (0, 0, 0))})
+    with pytest.raises(ls.SceneError, match="joints have 2 roots"):
+        ls.avatars.Rig.of_joints(joints | {"knee": (None, (0, 0, 0))})

@@ -12,11 +12,12 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Doubles, FloatArray, IntArray, read_only_view
+from lumisplat.errors import SceneError, check_shapes
+from lumisplat.math.arrays import Doubles, FloatArray, IntArray, finite_array, read_only_view
 from lumisplat.math.transforms import (
     is_mirroring,
     matrices_from_quaternions,
+    multiply_quaternions,
     slerp,
     transform_normals_each,
     transform_points_each,
@@ -317,7 +318,7 @@ class RigPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """Meshes bound to a hierarchy of joints, with animations by name; made by `load_rig`.
+    """Meshes bound to a hierarchy of joints, with animations by name; made by `load_rig`, or by `of_joints`.
 
     Vertices are moved by their morph targets and pose blend shapes, then by linear blend skinning (glTF 2.0 section
     3.7.3). All poses are in the world space of the file, y up and +z towards the viewer.
@@ -338,6 +339,67 @@ class Rig:
         if len(meshes) < len(self.surfaces):
             raise SceneError("the rig has no triangles at rest")
         object.__setattr__(self, "meshes", tuple(meshes))
+
+    @classmethod
+    def of_joints(
+        cls,
+        joints: Mapping[str, tuple[str | None, npt.ArrayLike]],
+        times: npt.ArrayLike | None = None,
+        rotations_wxyz: npt.ArrayLike | None = None,
+        root_positions: npt.ArrayLike | None = None,
+    ) -> Rig:
+        """Makes a rig without meshes, to which `bind_gaussians` binds given Gaussians, and a clip named ``motion``.
+
+        Args:
+            joints: J joints by name: the name of the parent, which comes first, and the position in the pose of the
+                Gaussians, world space, shape (3,). The parent of the root is None.
+            times: Times of the clip's keys, seconds, increasing, shape (T,); None: no clip.
+            rotations_wxyz: Rotation of each joint from that pose, world space, at these times, shape (T, J, 4).
+            root_positions: Position of the root joint at these times, shape (T, 3); None: it stays.
+
+        Raises:
+            SceneError: There is not one root, a parent is unknown or comes later, or shapes do not match.
+        """
+        names = list(joints)
+        parents: list[int | None] = []
+        for k, (name, (parent, _)) in enumerate(joints.items()):
+            if parent is not None and parent not in names[:k]:
+                raise SceneError(f"joint {name!r} has the parent {parent!r}, expected the name of an earlier joint")
+            parents.append(None if parent is None else names.index(parent))
+        if parents.count(None) != 1:
+            raise SceneError(f"joints have {parents.count(None)} roots, expected one joint whose parent is None")
+        positions = finite_array("positions", [position for _, position in joints.values()], np.float64)
+        check_shapes(positions=(positions, "J 3"))
+        count = len(names)
+        above = np.array([0 if parent is None else parent for parent in parents])
+        is_root = np.array([parent is None for parent in parents])[:, None]
+        skeleton = Skeleton(
+            parents=tuple(parents),
+            order=tuple(range(count)),
+            translations=np.where(is_root, positions, positions - positions[above]),
+            rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            scales=np.ones((count, 3)),
+            matrices={},
+            names=tuple(names),
+        )
+        if times is None:
+            return cls(skeleton, (), ())
+        keys = finite_array("times", times, np.float64)
+        world = finite_array("rotations_wxyz", rotations_wxyz, np.float64)
+        check_shapes(times=(keys, "T"), joints=(positions, "J 3"), rotations_wxyz=(world, "T J 4"))
+        tracks: list[Track] = []
+        for k, parent in enumerate(parents):
+            local = world[:, k]
+            if parent is not None:
+                inverse = world[:, parent] * (1.0, -1.0, -1.0, -1.0)
+                local = np.stack([multiply_quaternions(a, b[None])[0] for a, b in zip(inverse, local, strict=True)])
+            local = local / np.linalg.norm(local, axis=1, keepdims=True)
+            tracks.append(Track(k, Channel.ROTATION, Interpolation.LINEAR, keys, local))
+        if root_positions is not None:
+            moved = finite_array("root_positions", root_positions, np.float64)
+            check_shapes(times=(keys, "T"), root_positions=(moved, "T 3"))
+            tracks.append(Track(parents.index(None), Channel.TRANSLATION, Interpolation.LINEAR, keys, moved))
+        return cls(skeleton, (), (Clip("motion", tuple(tracks)),))
 
     def __repr__(self) -> str:
         faces = sum(len(surface.indices) for surface in self.surfaces)
