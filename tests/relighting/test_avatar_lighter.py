@@ -445,13 +445,13 @@ def brightness(captured_at: float, place: float) -> float:
 def test_a_relit_figure_is_as_bright_as_its_surroundings_make_a_card_of_its_albedo(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """White balls are as bright as a white floor, however bright either was captured; one line says so."""
+    """Balls have the brightness of their albedo of 0.5, times the light of the floor, however bright their capture."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
-        assert brightness(1.0, 1.0) == pytest.approx(0.8, rel=0.15)
+        assert brightness(0.5, 1.0) == pytest.approx(0.5, rel=0.15)
     assert caplog.text.count("actor 'puppet' is lit at ") == 1
-    assert "the light around is 1 of display white, it was captured in 1, open directions" in caplog.text
-    assert brightness(0.6, 1.0) == pytest.approx(brightness(1.0, 1.0), rel=0.02)
-    assert brightness(1.0, 0.3) == pytest.approx(0.3 * brightness(1.0, 1.0), rel=0.02)
+    assert "the light around is 1 of display white, it was captured in 0.8, open directions" in caplog.text
+    assert brightness(0.35, 1.0) == pytest.approx(brightness(0.5, 1.0), rel=0.02)
+    assert brightness(0.5, 0.3) == pytest.approx(0.3 * brightness(0.5, 1.0), rel=0.02)
 
 
 def test_an_open_place_lights_figures_from_where_no_capture_is() -> None:

@@ -35,9 +35,13 @@ LAMP_MARGIN = 0.1
 """Fraction of the distance to a light with a position that shadow rays through the scene leave out: the Gaussians of
 the captured lamp."""
 
+ACTOR_ALBEDO_HIGH = 0.5
+"""Assumed albedo of the lightest surfaces of an actor in their largest channel: skin and cloth. Places have walls and
+paint of `ALBEDO_HIGH`."""
+
 CAPTURED_LIGHT_MIN = 0.5
 """Smallest light in which an actor is taken to have been captured, as irradiance over pi in units of display white: an
-actor may have no light surfaces, such as one in black leather. The largest is 1: cameras expose so."""
+actor may have no light surfaces. The largest is 1: cameras expose so."""
 
 AROUND_REACH = 3.0
 """Radius, in diagonals of an actor's box, within which surfaces tell the light at its position."""
@@ -329,4 +333,4 @@ def _colors_and_areas(gaussians: Gaussians, scale: float, rows: npt.NDArray[np.b
 def _lightest(gaussians: Gaussians) -> float:
     """Returns the irradiance over pi that gives the lightest surfaces of Gaussians a typical albedo."""
     colors, areas = _colors_and_areas(gaussians, 1.0, np.ones(gaussians.count, bool))
-    return weighted_quantile(colors, areas, LIGHTEST) / ALBEDO_HIGH if areas.any() else 1.0
+    return weighted_quantile(colors, areas, LIGHTEST) / ACTOR_ALBEDO_HIGH if areas.any() else 1.0

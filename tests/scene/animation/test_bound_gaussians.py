@@ -212,7 +212,7 @@ def test_a_rig_of_joints_takes_world_rotations_and_refuses_broken_trees():
     assert (rig.clips, rig.duration()) == (("motion",), 2.0)
     world = rig.pose_at(2.0).world_from_node
     np.testing.assert_allclose(world[:, :3, :3], turns.as_matrix()[3:], atol=1e-12)
-    knee = turns[3].apply([0.0, -0.5, 0.0]) + [5.0, 1.0, 0.0]
+    knee = turns[3].apply([0.0, -0.5, 0.0]) + np.array([5.0, 1.0, 0.0])
     np.testing.assert_allclose(world[2, :3, 3], turns[4].apply([0.1, -0.5, 0.0]) + knee, atol=1e-12)
     still = ls.avatars.Rig.of_joints(joints)
     np.testing.assert_allclose(still.pose_at(0.0).world_from_node[:, :3, 3], [at for _, at in joints.values()])

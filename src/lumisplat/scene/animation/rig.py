@@ -382,7 +382,9 @@ class Rig:
             matrices={},
             names=tuple(names),
         )
-        if times is None:
+        if times is None or rotations_wxyz is None:
+            if times is not None or rotations_wxyz is not None:
+                raise SceneError("times and rotations_wxyz make a clip: give both, or neither")
             return cls(skeleton, (), ())
         keys = finite_array("times", times, np.float64)
         world = finite_array("rotations_wxyz", rotations_wxyz, np.float64)
