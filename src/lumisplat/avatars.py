@@ -1,6 +1,6 @@
 """Rigged avatars made of Gaussians, and their relighting by a captured scene."""
 
-from lumisplat.io.load_save import load_motion, load_rig
+from lumisplat.io.load_save import load_bound_gaussians, load_motion, load_rig
 from lumisplat.relighting.actors import shadowed
 from lumisplat.relighting.avatar_lighter import AvatarLighter
 from lumisplat.relighting.capture_measures import estimate_capture_gain
@@ -18,6 +18,7 @@ __all__ = [
     "RiggedGaussians",
     "bind_gaussians",
     "estimate_capture_gain",
+    "load_bound_gaussians",
     "load_motion",
     "load_rig",
     "relight",

@@ -252,8 +252,9 @@ def test_scene_file_mesh_entry_without_position_is_placed_upright_and_logged(
 def test_scene_file_mesh_entry_with_a_position_or_rotation_key_is_not_placed_on_the_ground(
     tmp_path: Path, keys: str
 ) -> None:
-    """Any key of position or rotation, or ``upright = false``, leaves the mesh as in its file."""
-    np.testing.assert_array_equal(loaded(scene_file(tmp_path, keys)).meshes[0].transform, np.eye(4))
+    """A rotation, or ``upright = false``, leaves the mesh as in its file; with a position alone it stands upright."""
+    expected = np.diag([1.0, -1.0, -1.0, 1.0]) if keys.startswith("position") else np.eye(4)
+    np.testing.assert_allclose(loaded(scene_file(tmp_path, keys)).meshes[0].transform, expected, atol=1e-12)
 
 
 def test_scene_file_mesh_entry_with_ground_false_stands_upright_at_the_height_of_its_file(tmp_path: Path) -> None:
@@ -314,16 +315,16 @@ def test_scene_file_mesh_entry_with_no_placement_key_but_front_stands_upright(tm
     [("position = [0, 0, 0]", True), ("ground = 0.5", True), ("position = [0, 0, 0]\nupright = false", False),
      ("position = [0, 0, 0]\nrotation_wxyz = [1, 0, 0, 0]", False), ("position = [0, 0, 0]\nfront = '-z'", False)],
 )  # fmt: skip
-def test_scene_file_mesh_entry_with_a_position_but_no_rotation_logs_a_hint_about_upright(
+def test_scene_file_mesh_entry_with_a_position_but_no_rotation_stands_upright_and_is_logged(
     tmp_path: Path, keys: str, is_logged: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """If the file's y is not up in the scene, one log line suggests ``upright``; explicit rotations log nothing."""
+    """If the file's y is not up in the scene, one line says that it was rotated; explicit rotations log nothing."""
     file = scene_file(tmp_path, keys)
     for read in (ls.load, ls.io.SceneDocument.open):
         caplog.clear()
         read(file)
         lines = [record.getMessage() for record in caplog.records]
-        assert len(lines) == is_logged and all("upright = true rotates it" in line for line in lines)
+        assert len(lines) == is_logged and all("is rotated upright (upright = false" in line for line in lines)
     file.write_text(file.read_text().replace("y-down", "y-up"))
     caplog.clear()
     ls.load(file)

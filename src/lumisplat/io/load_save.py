@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lumisplat.config import RenderConfig
     from lumisplat.io.ply import PlyHeader
     from lumisplat.io.splats.columns import SplatColumns
-    from lumisplat.math.arrays import FloatArray
+    from lumisplat.math.arrays import FloatArray, IntArray
     from lumisplat.scene.animation.actors import Animation, GaussianSequence
     from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.animation.rig import Rig
@@ -453,8 +453,8 @@ def load_rig(
     A body model has shape and pose blend shapes (Loper et al. 2015), y up, in metres. At rest its arms are spread.
 
     Args:
-        path: A ``.glb`` or ``.gltf`` file, or a body model as ``.npz``. A ``.pkl`` or ``.fbx`` is refused with the
-            command that converts it.
+        path: A ``.glb`` or ``.gltf`` file, a body model as ``.npz``, or a ``.bvh``: a skeleton without meshes, to which
+            `bind_gaussians` binds given Gaussians. A ``.pkl`` or ``.fbx`` is refused with the command that converts it.
         motion: File whose clips come first: AMASS poses (``.npz``) for body models, or ``.bvh``, ``.glb`` or ``.gltf``
             for body models and humans in glTF. The last three are matched by the names of joints, and fitted to the
             rest pose and the leg length; a log line names joints that are not matched.
@@ -474,6 +474,30 @@ def load_rig(
 
     with references_outside(allow_outside):
         return load_any_rig(path, motion=motion, betas=betas, expression=expression, vertex_colors=vertex_colors)
+
+
+def load_bound_gaussians(path: PathLike) -> tuple[Gaussians, IntArray | None]:
+    """Loads Gaussians that belong to a rig, with the triangle of each if the file is one of GaussianAvatars.
+
+    Their arguments of `bind_gaussians` are ``gaussians`` and ``triangles``.
+
+    Args:
+        path: A capture.
+
+    Returns:
+        The Gaussians; and the index of each Gaussian's triangle, shape (N,), None for all other captures.
+
+    Raises:
+        FormatError: The file cannot be read, or is no capture.
+        MissingFileError: There is no such file.
+    """
+    from lumisplat.io.rigs.bound_gaussians import read_triangles
+    from lumisplat.scene.gaussians import Gaussians
+
+    gaussians = load(path)
+    if not isinstance(gaussians, Gaussians):
+        raise FormatError(path, "is no capture, expected Gaussians")
+    return gaussians, read_triangles(path)
 
 
 def load_motion(path: PathLike, rig: Rig, *, allow_outside: bool = False) -> Rig:

@@ -23,6 +23,7 @@ def folder(tmp_path: Path) -> Path:
     pose_file(tmp_path / "walk.npz", "SMPL")
     TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb")
     (tmp_path / "walk.bvh").write_text("HIERARCHY")
+    np.save(tmp_path / "w.npy", np.ones((10, 2)))
     return tmp_path
 
 
@@ -52,6 +53,16 @@ def test_body_models_with_motion_are_actors_that_stand(folder: Path) -> None:
         ("path = 'smpl.npz'\nbetas = 1", "line 3, actors[0]: betas is 1, expected numbers in brackets"),
         ("path = 'tube.glb'\nmotion = 'no.bvh'", "line 3, actors[0]: motion is 'no.bvh', no such file"),
         ("path = 'walk.bvh'", "line 2, actors[0]: path is 'walk.bvh', a motion without a body: write path ="),
+        ("path = 'tube.glb'\nweights = 'w.npy'", "line 3, actors[0]: weights are those of a capture, but there is no"),
+        ("path = 'tube.glb'\ngaussians = 'capture.ply'\ncount = 3", "line 4, actors[0]: count and gaussians are both"),
+        (
+            "path = 'tube.glb'\ngaussians = 'capture.ply'\nweights = 'w.npy'",
+            "line 4, actors[0]: weights has shape (10, 2), expected (10, 5) or (10, 3): Gaussians x joints of the rig",
+        ),
+        (
+            "path = 'tube.glb'\ngaussians = 'tube.glb'",
+            "line 3, actors[0]: gaussians is 'tube.glb', which is no capture",
+        ),
     ],
 )
 def test_errors_of_bodies_and_motions_name_the_line(folder: Path, text: str, problem: str) -> None:
@@ -60,3 +71,18 @@ def test_errors_of_bodies_and_motions_name_the_line(folder: Path, text: str, pro
     with pytest.raises(ls.FormatError) as caught:
         ls.load_animation(folder / "scene.toml")
     refuses(caught, folder, problem)
+
+
+def test_a_capture_is_bound_to_the_rig_of_its_entry(folder: Path) -> None:
+    """The actor equals the capture bound in Python, with and without weights, and its files are saved along."""
+    np.savez(folder / "w.npz", weights=np.eye(10, 3) + 0.1)
+    text = '[[actors]]\npath = "tube.glb"\ngaussians = "capture.ply"\n'
+    first, second = ls.load_animation(write_scene(folder, text + text + 'weights = "w.npz"\n')).actors
+    rig, capture = ls.avatars.load_rig(folder / "tube.glb"), random_gaussians(1, count=10)
+    for actor, weights in ((first, None), (second, np.eye(10, 3) + 0.1)):
+        expected = ls.bind_gaussians(rig, gaussians=capture, weights=weights).at(0.6)
+        shown = expect_kind(ls.SplatInstance, actor.at(0.6)[0]).gaussians
+        np.testing.assert_allclose(shown.means, expected.means, atol=1e-5)
+    (folder / "away").mkdir()
+    ls.io.SceneDocument.open(folder / "scene.toml").save(folder / "away" / "scene.toml")
+    assert 'weights = "../w.npz"' in (folder / "away" / "scene.toml").read_text()

@@ -220,3 +220,34 @@ def test_a_rig_of_joints_takes_world_rotations_and_refuses_broken_trees():
         ls.avatars.Rig.of_joints(joints | {"knee": ("toe", (0, 0, 0))})
     with pytest.raises(ls.SceneError, match="joints have 2 roots"):
         ls.avatars.Rig.of_joints(joints | {"knee": (None, (0, 0, 0))})
+
+
+def test_gaussians_of_gaussian_avatars_follow_their_triangles(tmp_path):
+    """In every pose a Gaussian is at the scaled local position in its triangle's frame; SH stay in world space."""
+    rig = ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
+    local = some_gaussians(RNG.uniform(-0.3, 0.3, (30, 3)), normals=None)
+    faces = RNG.integers(0, len(rig.mesh.indices), 30).astype(np.int32)
+    ls.save(tmp_path / "plain.ply", local)
+    header, body = (tmp_path / "plain.ply").read_bytes().split(b"end_header\n", 1)
+    width = len(body) // 30
+    rows = [body[k * width : (k + 1) * width] + faces[k : k + 1].tobytes() for k in range(30)]
+    written = header + b"property int binding_0\nend_header\n" + b"".join(rows)
+    (tmp_path / "point_cloud.ply").write_bytes(written)
+    gaussians, triangles = ls.avatars.load_bound_gaussians(tmp_path / "point_cloud.ply")
+    np.testing.assert_array_equal(present(triangles), faces)
+    assert ls.avatars.load_bound_gaussians(tmp_path / "plain.ply")[1] is None
+    shown = ls.bind_gaussians(rig, gaussians=gaussians, triangles=triangles).at(0.8)
+    np.testing.assert_allclose(shown.sh, local.sh, atol=1e-6)
+    corners = rig.pose(0.8).positions[rig.mesh.indices].astype(float)
+    for k, face in enumerate(faces):
+        a, b, c = corners[face]
+        edge = (b - a) / np.linalg.norm(b - a)
+        normal = np.cross(edge, c - a) / np.linalg.norm(np.cross(edge, c - a))
+        across = np.cross(edge, normal)
+        size = 0.5 * (np.linalg.norm(b - a) + abs(across @ (c - a)))
+        frame = np.stack([edge, normal, across], axis=1)
+        np.testing.assert_allclose(shown.means[k], size * frame @ local.means[k] + (a + b + c) / 3.0, atol=1e-5)
+        wanted = size**2 * frame @ covariances(local)[k] @ frame.T
+        np.testing.assert_allclose(covariances(shown)[k], wanted, atol=1e-5 * np.trace(wanted))
+    with pytest.raises(ls.SceneError, match="bound to triangle 9999, but the rig has 240"):
+        ls.bind_gaussians(rig, gaussians=gaussians, triangles=np.full(30, 9999))

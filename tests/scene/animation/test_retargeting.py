@@ -201,7 +201,8 @@ def test_bvh_files_move_bodies_and_rigs_and_a_line_says_what_they_do_not_move(tm
     with pytest.raises(
         ls.FormatError, match=r"is a motion without a body: load_rig\(\"walker.glb\", motion=\"hop.bvh\"\)"
     ):
-        ls.avatars.load_rig(tmp_path / "hop.bvh")
+        ls.avatars.load_rig(tmp_path / "hop.bvh", motion=tmp_path / "hop.bvh")
+    assert not ls.avatars.load_rig(tmp_path / "hop.bvh").meshes  # a skeleton alone
     with pytest.raises(ls.FormatError, match=r"walk.npz: moves bodies \(.npz of SMPL, .*\), but tube.glb is none"):
         ls.avatars.load_rig(tube, motion=pose_file(tmp_path / "walk.npz", "SMPL"))
 

@@ -137,7 +137,8 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
     Paths to another drive become absolute.
 
     Args:
-        values: The table, with nested tables. Values of ``path``, ``motion`` and ``..._texture`` are paths.
+        values: The table, with nested tables. Values of ``path``, ``motion``, ``gaussians``, ``weights`` and
+            ``..._texture`` are paths.
         source: Folder from which the paths start now.
         target: Folder from which the paths shall start.
     """
@@ -151,7 +152,7 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
             moved[key] = [relocated(item, source, target) for item in cast(list[Mapping[str, Any]], value)]
         elif (
             isinstance(value, str)
-            and (key in ("path", "motion") or key.endswith("_texture"))
+            and (key in ("path", "motion", "gaussians", "weights") or key.endswith("_texture"))
             and not value.startswith("<")
         ):
             moved[key] = value if Path(value).is_absolute() else relative_path(source / value, target)

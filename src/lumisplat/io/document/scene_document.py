@@ -36,7 +36,7 @@ from lumisplat.io.gltf.scene import holds_one_capture
 from lumisplat.io.load_save import USD, holds_mesh
 from lumisplat.io.scene_toml.cameras import read_scene_cameras
 from lumisplat.io.scene_toml.config_file import changed_settings, read_config
-from lumisplat.io.scene_toml.placement import is_placed, scene_up, warn_if_not_upright
+from lumisplat.io.scene_toml.placement import is_placed, scene_up, stand_placed_upright
 from lumisplat.io.scene_toml.scene_file import animation_of, read_document
 from lumisplat.io.scene_toml.toml_table import TomlTable, plain_value, toml_text
 from lumisplat.math.arrays import Doubles, matrix_4x4
@@ -467,7 +467,7 @@ def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _
     if scene_files:
         with parsing(listing.file, "a scene file"):
             document = read_document(listing.file)
-            warn_if_not_upright(document, scene_up(document))
+            stand_placed_upright(document, scene_up(document))
             listing.top = {key: value for key, value in document.values.items() if key not in KINDS}
             for kind in KINDS[:-1]:
                 for table in document.tables(kind):

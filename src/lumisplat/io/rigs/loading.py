@@ -80,7 +80,10 @@ def load_rig(
     suffix = path.suffix.lower()
     refuse_foreign(path)
     if suffix == ".bvh":
-        raise FormatError(path, f'is a motion without a body: load_rig("walker.glb", motion="{path.name}")')
+        if motion is not None:
+            raise FormatError(path, f'is a motion without a body: load_rig("walker.glb", motion="{path.name}")')
+        skeleton, clip = read_bvh(path)
+        return Rig(skeleton, (), (clip,))
     if suffix not in RIG_FILES:
         raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected {_RIGS}")
     is_gltf = suffix in _GLTF

@@ -26,6 +26,7 @@ import numpy as np
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.animation import is_rigged
 from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.rigs.bound_gaussians import read_triangles, read_weights
 from lumisplat.io.rigs.loading import load_rig
 from lumisplat.io.scene_toml.placement import (
     PLACEMENT,
@@ -40,7 +41,8 @@ from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, NUMBERS, TABLES, TE
 from lumisplat.io.splats.sequence import read_sequence
 from lumisplat.scene.animation.actors import Actor, Subject
 from lumisplat.scene.animation.keyframes import Keyframes
-from lumisplat.scene.animation.rigged_gaussians import bind_gaussians
+from lumisplat.scene.animation.rig import Rig
+from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians, bind_gaussians
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.mesh_sampling import gaussians_from_instances
@@ -60,6 +62,12 @@ ACTOR_KEYS = {
     "vertex_colors": FLAG.about("Multiplies the colours of a rig by COLOR_0. Default: true."),
     "motion": TEXT.about(
         "Motion of a rig from another file: `.npz` of AMASS (body models), `.bvh`, `.glb` or `.gltf`."
+    ),
+    "gaussians": TEXT.about(
+        "A capture that is bound to the rig, in its rest pose: a trained avatar. Default: new Gaussians on its meshes."
+    ),
+    "weights": TEXT.about(
+        "Skinning weights of `gaussians`, `.npy` or `.npz`, Gaussians x joints. Default: nearest triangles, or bones."
     ),
     "betas": NUMBERS.about("Shape of a body model. Default: that of `motion`, or the mean."),
     "fps": NUMBER.about("Frames a second of a folder of frames. Default: 25."),
@@ -85,6 +93,8 @@ _KEY_OWNERS = {
     "form": "a rig or a mesh",
     "vertex_colors": "a glTF rig",
     "motion": "a rig",
+    "gaussians": "a rig",
+    "weights": "a rig",
     "betas": "a body model",
     "fps": "a folder of frames",
 }
@@ -211,6 +221,32 @@ class Subjects:
                 raise table.failed(error) from None
         return self._subjects[key]
 
+    def _rig(self, table: TomlTable, file: Path, given: Values, mesh_keys: set[str]) -> Subject:
+        """Loads a rig as a rig, as new Gaussians on its meshes, or with a capture that is bound to it."""
+        is_body, as_mesh = file.suffix.lower() == ".npz", given.get("form") == "mesh"
+        known = {*mesh_keys, "motion", "gaussians", "weights", "betas" if is_body else "vertex_colors"}
+        _refuse_foreign_keys(table, given, known, "a rig as a mesh" if as_mesh else "a rig")
+        if "weights" in given and "gaussians" not in given:
+            raise table.error("weights are those of a capture, but there is no gaussians", "weights")
+        motion = table.file("motion") if "motion" in given else None
+        colors = given.get("vertex_colors", True)
+        rig = load_rig(file, motion=motion, betas=given.get("betas"), vertex_colors=colors)
+        if "gaussians" in given:
+            return self._bound(table, given, rig)
+        return rig if as_mesh else bind_gaussians(rig, given.get("count"))
+
+    def _bound(self, table: TomlTable, given: Values, rig: Rig) -> RiggedGaussians:
+        """Binds the capture that an entry names to its rig."""
+        for key in ("count", "form"):
+            if key in given:
+                raise table.error(f"{key} and gaussians are both given: choose one of them", key)
+        capture = self.load(table.file("gaussians"))
+        if not isinstance(capture, Gaussians):
+            raise table.error(f"gaussians is {given['gaussians']!r}, which is no capture", "gaussians")
+        weights = read_weights(table.file("weights")) if "weights" in given else None
+        triangles = None if "weights" in given else read_triangles(table.file("gaussians"))
+        return bind_gaussians(rig, gaussians=capture, weights=weights, triangles=triangles)
+
     def _make(self, table: TomlTable, file: Path, given: Values) -> Subject:
         if file.suffix.lower() == ".toml":
             raise table.error(f"path is {given['path']!r}, a scene file itself: list its entries here instead", "path")
@@ -220,18 +256,15 @@ class Subjects:
             _refuse_foreign_keys(table, given, {"fps"}, "a folder of frames")
             self._captures.add(file)
             return read_sequence(file, given.get("fps", 25.0), self.load)
-        is_body = file.suffix.lower() == ".npz"
-        if is_body or (file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file))):
-            known = {*mesh_keys, "motion", "betas" if is_body else "vertex_colors"}
-            _refuse_foreign_keys(table, given, known, "a rig as a mesh" if as_mesh else "a rig")
-            motion = table.file("motion") if "motion" in given else None
-            colors = given.get("vertex_colors", True)
-            rig = load_rig(file, motion=motion, betas=given.get("betas"), vertex_colors=colors)
-            return rig if as_mesh else bind_gaussians(rig, given.get("count"))
+        if file.suffix.lower() == ".npz" or (file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file))):
+            return self._rig(table, file, given, mesh_keys)
         if file.suffix.lower() == ".bvh":
+            if "gaussians" in given:
+                _refuse_foreign_keys(table, given, {"gaussians", "weights"}, "a skeleton")
+                return self._bound(table, given, load_rig(file))
             raise table.error(
                 f'path is {given["path"]!r}, a motion without a body: write path = "walker.glb" and motion = '
-                f'"{given["path"]}"',
+                f'"{given["path"]}", or gaussians = "capture.ply" in the pose of its skeleton',
                 "path",
             )
         loaded = self.load(file)

@@ -94,10 +94,10 @@ def keep_saved_positions(document: TomlTable) -> None:
                 )
 
 
-def warn_if_not_upright(document: TomlTable, up: Vector) -> None:
-    """Warns of meshes and actors with a placement that stay y up although the scene is not y up.
+def stand_placed_upright(document: TomlTable, up: Vector) -> None:
+    """Rotates meshes and actors upright that have a position but no rotation, if the scene is not y up; logs each.
 
-    In saved files and entries with ``upright = false`` the orientation is intended, so there is no warning.
+    In saved files and entries with ``upright = false`` the orientation is intended; captures have their own axes.
     """
     if not document.tables("splats") or up[1] > _UPRIGHT_MIN or _is_saved(document):
         return
@@ -107,13 +107,32 @@ def warn_if_not_upright(document: TomlTable, up: Vector) -> None:
             if (
                 "path" in keys
                 and is_placed(table.values)
-                and keys.isdisjoint((*_ROTATION_KEYS, "front", "hidden", "keyframes"))
+                and keys.isdisjoint((*_ROTATION_KEYS, "front"))
+                and not any("rotation_wxyz" in frame.values for frame in _keyframes(table))
+                and not _holds_capture(table)
             ):
-                _warn(
-                    table,
-                    "has a position but no rotation, so it is y up as in its file, although the scene is not: "
-                    "upright = true rotates it upright (upright = false silences this line)",
-                )
+                table.values["upright"] = True
+                if "hidden" not in keys:
+                    _warn(table, "has no rotation, and is rotated upright (upright = false: as in its file)")
+
+
+def _keyframes(table: TomlTable) -> list[TomlTable]:
+    """Returns the keyframes of an entry; none if they are no tables, which is reported when they are read."""
+    try:
+        return table.tables("keyframes")
+    except FormatError:
+        return []
+
+
+def _holds_capture(table: TomlTable) -> bool:
+    """Returns whether the file of an entry is a capture, by its name or, for PLY, by its lack of faces."""
+    path = table.path.parent / str(table.values["path"])
+    if path.suffix.lower() == ".ply":
+        try:
+            return not any(element.name == "face" for element in read_ply_header(path).elements)
+        except (LumisplatError, OSError):  # reported when the file is read
+            return True
+    return path.suffix.lower() in _CAPTURES
 
 
 def insert_entry(

@@ -50,7 +50,7 @@ from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_
 from lumisplat.io.scene_toml.config_file import read_settings
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
-from lumisplat.io.scene_toml.placement import keep_saved_positions, scene_up, warn_if_not_upright
+from lumisplat.io.scene_toml.placement import keep_saved_positions, scene_up, stand_placed_upright
 from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
@@ -139,7 +139,7 @@ def _static_scene(document: TomlTable, load: Load) -> Scene:
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
     up = scene_up(document)
-    warn_if_not_upright(document, up)
+    stand_placed_upright(document, up)
     assets = Assets(load, read_materials(document), up)
     splats = [(assets.splats(table), table) for table in document.tables("splats")]
     captures = [entry for entry, table in splats if not table.values.get("hidden", False)]

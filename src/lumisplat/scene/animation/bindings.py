@@ -80,7 +80,28 @@ class TriangleBinding:
         return np.concatenate([linear, shift[:, :, None]], axis=2)
 
 
-GaussianBinding = JointBinding | TriangleBinding
+@dataclass(frozen=True, slots=True, eq=False)
+class FaceBinding:
+    """Binds each of N Gaussians to the frame of one given triangle, as GaussianAvatars does (Qian et al. 2024, 3.2).
+
+    A triangle's frame is a rotation (its first edge, its normal, and their cross product) and a scale (the mean of the
+    edge and the height over it) about its centre.
+    """
+
+    corners: IntArray
+    """Vertex indices of the T triangles of all meshes of the rig, shape (T, 3)."""
+    triangles: IntArray
+    """Index of the triangle of each Gaussian, shape (N,)."""
+    frame_from_rest: Doubles
+    """Inverse of each triangle's frame in the pose in which the Gaussians are given, shape (T, 4, 4)."""
+
+    def maps(self, rig: Rig, pose: RigPose) -> Doubles:
+        """Returns the affine map of each Gaussian to a pose of the rig, shape (N, 3, 4)."""
+        moved = local_frames(posed_vertices(rig, pose)[self.corners]) @ self.frame_from_rest
+        return moved[self.triangles, :3]
+
+
+GaussianBinding = JointBinding | TriangleBinding | FaceBinding
 
 
 def bind_to_joints(rig: Rig, rest: RigPose, weights: npt.ArrayLike, count: int) -> JointBinding:
@@ -184,8 +205,7 @@ def bind_to_triangles(rig: Rig, rest: RigPose, points: Doubles) -> TriangleBindi
         points: Means of the N Gaussians in the space of the pose, shape (N, 3).
     """
     positions = posed_vertices(rig, rest)
-    firsts = np.cumsum([0, *(sum(len(part.positions) for part in surface.parts) for surface in rig.surfaces)])
-    corners = np.concatenate([surface.indices + first for surface, first in zip(rig.surfaces, firsts, strict=False)])
+    corners = all_triangles(rig)
     a, b, c = positions[corners].swapaxes(0, 1)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     corners, areas = corners[areas > 0.0].astype(np.int32), areas[areas > 0.0]
@@ -212,6 +232,55 @@ def bind_to_triangles(rig: Rig, rest: RigPose, points: Doubles) -> TriangleBindi
         nearest=nearest,
         points=nearest @ positions,
     )
+
+
+def bind_to_faces(rig: Rig, rest: RigPose, triangles: npt.ArrayLike, count: int) -> FaceBinding:
+    """Binds ``count`` Gaussians to given triangles.
+
+    Args:
+        rig: The rig, with meshes.
+        rest: Pose in which the Gaussians are given.
+        triangles: Index of the triangle of each Gaussian, in the order of the rig's meshes, shape (N,).
+        count: N.
+
+    Raises:
+        SceneError: The shape does not fit, or the rig has no such triangle.
+    """
+    index = np.asarray(triangles)
+    corners = all_triangles(rig)
+    if index.shape != (count,) or index.dtype.kind not in "iu":
+        raise SceneError(f"triangles has shape {index.shape} of {index.dtype}, expected whole numbers, ({count},)")
+    if count and not (0 <= index.min() and index.max() < len(corners)):
+        raise SceneError(
+            f"a Gaussian is bound to triangle {int(index.max())}, but the rig has {len(corners)}: it is another mesh "
+            "(GaussianAvatars adds teeth to FLAME)"
+        )
+    frames = local_frames(posed_vertices(rig, rest)[corners])
+    return FaceBinding(corners, index.astype(np.int32), np.linalg.inv(frames).astype(np.float64))
+
+
+def local_frames(triangles: Doubles) -> Doubles:
+    """Returns ``world_from_local`` of T triangles, (T, 3, 3) each, as `FaceBinding` describes, shape (T, 4, 4)."""
+    first, second, third = triangles.swapaxes(0, 1)
+    edge, other = second - first, third - first
+    base = np.linalg.norm(edge, axis=1, keepdims=True)
+    along = edge / np.maximum(base, np.finfo(float).tiny)
+    normal = np.cross(along, other)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+    across = np.cross(along, normal)
+    height = np.abs(np.einsum("ti,ti->t", across, other))
+    frames = np.tile(np.eye(4), (len(triangles), 1, 1))
+    frames[:, :3, :3] = 0.5 * (base[:, 0] + height)[:, None, None] * np.stack([along, normal, across], axis=2)
+    frames[:, :3, 3] = triangles.mean(axis=1)
+    return frames
+
+
+def all_triangles(rig: Rig) -> IntArray:
+    """Returns the vertex indices of the triangles of all meshes of a rig, one mesh after the other, shape (T, 3)."""
+    counts = [sum(len(part.positions) for part in surface.parts) for surface in rig.surfaces]
+    firsts = np.cumsum([0, *counts])
+    parts = [surface.indices + first for surface, first in zip(rig.surfaces, firsts, strict=False)]
+    return np.concatenate(parts).astype(np.int32)
 
 
 def posed_vertices(rig: Rig, pose: RigPose) -> Doubles:

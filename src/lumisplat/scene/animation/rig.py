@@ -368,7 +368,9 @@ class Rig:
             parents.append(None if parent is None else names.index(parent))
         if parents.count(None) != 1:
             raise SceneError(f"joints have {parents.count(None)} roots, expected one joint whose parent is None")
-        positions = finite_array("positions", [position for _, position in joints.values()], np.float64)
+        positions = finite_array(
+            "positions", np.array([position for _, position in joints.values()], np.float64), np.float64
+        )
         check_shapes(positions=(positions, "J 3"))
         count = len(names)
         above = np.array([0 if parent is None else parent for parent in parents])

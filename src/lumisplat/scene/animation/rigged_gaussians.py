@@ -10,7 +10,14 @@ import numpy.typing as npt
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
-from lumisplat.scene.animation.bindings import GaussianBinding, bind_to_bones, bind_to_joints, bind_to_triangles
+from lumisplat.scene.animation.bindings import (
+    FaceBinding,
+    GaussianBinding,
+    bind_to_bones,
+    bind_to_faces,
+    bind_to_joints,
+    bind_to_triangles,
+)
 from lumisplat.scene.animation.deformation import deform, dots, principal_axes
 from lumisplat.scene.animation.rig import Rig, RigPose
 from lumisplat.scene.checks import check_argument
@@ -188,7 +195,8 @@ class RiggedGaussians:
         """
         pose = self.rig.pose_at(time, clip)
         if not isinstance(self.bindings, tuple):
-            return deform(self.gaussians, self.bindings.maps(self.rig, pose))
+            turns = not isinstance(self.bindings, FaceBinding)  # GaussianAvatars trains SH in world space
+            return deform(self.gaussians, self.bindings.maps(self.rig, pose), rotates_sh=turns)
         columns: dict[str, list[_Floats]] = {name: [] for name in ("means", "rotations_wxyz", "scales", "normals")}
         masks: list[npt.NDArray[np.bool_]] = []
         first = 0
@@ -214,6 +222,7 @@ def bind_gaussians(
     *,
     gaussians: Gaussians | None = None,
     weights: npt.ArrayLike | None = None,
+    triangles: npt.ArrayLike | None = None,
     pose: RigPose | None = None,
 ) -> RiggedGaussians:
     """Binds Gaussians to a rig: given ones, or new ones that cover the rig's meshes as `gaussians_from_mesh` does.
@@ -221,7 +230,8 @@ def bind_gaussians(
     Given Gaussians are a trained avatar in one pose of the rig. They keep their look. They follow
 
     - joints by ``weights`` (linear blend skinning, as canonical Gaussians of GART, HUGS and ExAvatar do);
-    - without weights, the nearest triangles of the rig's meshes, blended over the vertices between them;
+    - ``triangles``, each by its own, in whose frames they are given (GaussianAvatars);
+    - without either, the nearest triangles of the rig's meshes, blended over the vertices between them;
     - bones by distance, if the rig has no meshes.
 
     Covariances and normals follow the blended map exactly, SH turn with its rotation. Given Gaussians without normals
@@ -236,6 +246,8 @@ def bind_gaussians(
         gaussians: N Gaussians to bind, in the rig's world space; None: new ones.
         weights: Skinning weights of the Gaussians, at least 0, shape (N, J), J the number of joints of the rig's skin
             or of nodes of its skeleton; rows are scaled to sum 1.
+        triangles: Triangle of each Gaussian, an index into those of all meshes of the rig, shape (N,). ``gaussians``
+            are then in the frames of these triangles, as in the files of GaussianAvatars.
         pose: Pose of the rig in which ``gaussians`` stand, from `Rig.pose_at`; None: the rest pose.
 
     Raises:
@@ -244,8 +256,10 @@ def bind_gaussians(
     """
     check_argument("bind_gaussians", rig, Rig, "a Rig of load_rig")
     if gaussians is None:
-        if weights is not None or pose is not None:
-            raise SceneError("bind_gaussians: weights and pose are those of given Gaussians: pass gaussians=, too")
+        if weights is not None or triangles is not None or pose is not None:
+            raise SceneError(
+                "bind_gaussians: weights, triangles and pose are those of given Gaussians: pass gaussians=, too"
+            )
         if not rig.surfaces:
             raise SceneError("the rig has no meshes to cover with Gaussians: pass gaussians=")
         samples = sample_surfaces(rig.meshes, count, seed)
@@ -256,12 +270,21 @@ def bind_gaussians(
         raise SceneError("bind_gaussians: count is the number of new Gaussians, but gaussians are given, too")
     rest = RigPose(rig.skeleton.world_from_node(), {}) if pose is None else pose
     points = gaussians.means.astype(np.float64) + np.asarray(gaussians.origin)
+    if triangles is not None:
+        if weights is not None:
+            raise SceneError("bind_gaussians: weights and triangles are both given: choose one of them")
+        faces = bind_to_faces(rig, rest, triangles, gaussians.count)
+        frames = np.linalg.inv(faces.frame_from_rest).astype(np.float64)[faces.triangles, :3]
+        return RiggedGaussians(rig, _with_normals(deform(gaussians, frames, rotates_sh=False)), faces)
     if weights is not None:
         binding: GaussianBinding = bind_to_joints(rig, rest, weights, gaussians.count)
     elif rig.surfaces:
         binding = bind_to_triangles(rig, rest, points)
     else:
         binding = bind_to_bones(rig, rest, points)
-    if gaussians.normals is None:
-        gaussians = replace(gaussians, normals=estimate_normals(gaussians))
-    return RiggedGaussians(rig, gaussians, binding)
+    return RiggedGaussians(rig, _with_normals(gaussians), binding)
+
+
+def _with_normals(gaussians: Gaussians) -> Gaussians:
+    """Returns the Gaussians with normals, estimated if they have none."""
+    return gaussians if gaussians.normals is not None else replace(gaussians, normals=estimate_normals(gaussians))
