@@ -22,6 +22,7 @@ from lumisplat.config.setting import Setting, all_settings, docstrings_of, setti
 from lumisplat.io.scene_toml.actors import ACTOR_KEYS, KEYFRAME_KEYS
 from lumisplat.io.scene_toml.assets import ENTRY_KEYS
 from lumisplat.io.scene_toml.cameras import CAMERA_FILE_KEYS, CAMERA_KEYFRAME_KEYS, CAMERA_VIEW_KEYS
+from lumisplat.io.scene_toml.keyframes import TIME
 from lumisplat.io.scene_toml.materials import MATERIAL_KINDS
 from lumisplat.io.scene_toml.placement import UP
 from lumisplat.io.scene_toml.scene_file import ANIMATION_KEYS
@@ -246,12 +247,27 @@ def scene_file_page() -> str:
         lines += [f'## `[[lights]]` with `type = "{name}"`', "", _first(kind), "", *_fields(kind, aims)]
     lines += ["## `[environment]`", "", _first(LightEnvironment), "", *_fields(LightEnvironment, {})]
     lines += [
+        "## `[[lights.keyframes]]`, `[[environment.keyframes]]` and `[[materials.NAME.keyframes]]`",
+        "",
+        "Values at a time; between keyframes, numbers and colours are linear, and directions turn at constant speed.",
+        "",
+        *_table(("key", "value", "meaning"), [("`time`", TIME.expected, TIME.help), _OTHER_KEYFRAME_KEYS]),
+    ]
+    lines += [
         "## `[render]`",
         "",
         "The [settings](settings.md) of `RenderConfig`, and a table below it for each group: `[render.trace]`.",
         "",
     ]
     return _joined(lines)
+
+
+_OTHER_KEYFRAME_KEYS = (
+    "others",
+    "numbers",
+    "All keys of the light, environment or material that are numbers, but `shadow_distance`. Default: that of the "
+    "keyframe before, or of the entry.",
+)
 
 
 def _first(kind: type) -> str:

@@ -12,13 +12,13 @@ from lumisplat import (
     inverse as inverse,
     io as io,
     layers as layers,
+    lights as lights,
     metrics as metrics,
     rays as rays,
     training as training,
 )
 from lumisplat.baking.bake import bake as bake
 from lumisplat.config import (
-    DelightConfig as DelightConfig,
     PathConfig as PathConfig,
     Pipeline as Pipeline,
     RasterConfig as RasterConfig,

@@ -197,6 +197,32 @@ def test_animate_frames_of_a_range_equal_those_of_the_whole(work, monkeypatch):
     assert list(frames(work, "part")) == names(0, 2, 3)
 
 
+MOVING_LIGHT = SCENE.replace(
+    "intensity = 4.0\n",
+    """intensity = 4.0
+
+[[lights.keyframes]]
+time = 0.0
+
+[[lights.keyframes]]
+time = 0.3
+position = [-0.6, 2.0, 0.4]
+""",
+)
+
+
+def test_animate_moves_lights_and_renders_a_frame_alone_as_among_others(work):
+    """The shadow of the ball, which moves, falls to its other side; the last frame does not depend on those before."""
+    work.path("scene.toml").write_text(MOVING_LIGHT)
+    assert animate(work, "whole", "--frames", "0,2:4").status == 0
+    assert animate(work, "part", "--frames", "3").status == 0
+    assert frames(work, "part")[names(3)[0]] == frames(work, "whole")[names(3)[0]]
+    work.path("scene.toml").write_text(SCENE)
+    assert animate(work, "still", "--frames", "0,3").status == 0
+    still, whole = frames(work, "still"), frames(work, "whole")
+    assert [still[name] == whole[name] for name in names(0, 3)] == [True, False]
+
+
 def test_animate_command_writes_identical_frames_of_a_scene_without_motion(work):
     """Frames are equal bit by bit, including shadows and sampled light."""
     work.path("scene.toml").write_text(SCENE.replace("position = [0.5, 0.0, 0.0]", "position = [-0.5, 0.0, 0.0]"))
@@ -444,7 +470,7 @@ def test_animate_reports_a_missing_video_package_before_any_frame(work, monkeypa
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("[[splats]]\npath = 'floor.ply'\n", "has neither [[actors]] nor a camera with keyframes"),
+        ("[[splats]]\npath = 'floor.ply'\n", "has neither [[actors]] nor keyframes of a camera"),
         (SCENE.replace("ball.ply", "lost.ply"), "lost.ply"),
         (SCENE + "\nbroken", "scene.toml: "),
     ],

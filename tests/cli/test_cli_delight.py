@@ -69,7 +69,7 @@ def test_delight_writes_no_environment_image_for_a_room(work, monkeypatch):
     """A line reports that there is no environment, in place of a black image."""
     capture = ls.load(work.path("ball.ply"))
     assert isinstance(capture, ls.Gaussians)
-    found = ls.inverse.estimate_materials(capture, ls.DelightConfig(cells=4, inside=True), device="cpu")
+    found = ls.inverse.estimate_materials(capture, ls.config.DelightConfig(cells=4, inside=True), device="cpu")
     monkeypatch.setattr(ls.inverse, "estimate_materials", lambda *_, **__: found)
     done = work.run("delight", "@ball.ply", "-o", "@out.ply", "--save-environment", "@sky.exr", "--device", "cpu")
     assert (done.status, done.err) == (0, "") and f"{work.path('sky.exr')}: not written: a room has" in done.out

@@ -167,7 +167,7 @@ def test_help_lists_all_commands_on_one_screen(capsys: pytest.CaptureFixture[str
     ("command", "config"),
     [
         ("train", ls.TrainConfig()),
-        ("delight", ls.DelightConfig()),
+        ("delight", ls.config.DelightConfig()),
         ("relight", ls.config.RelightConfig()),
         ("dataset", ls.config.DatasetConfig()),
         ("shadowmap", ls.config.DeepShadowConfig()),

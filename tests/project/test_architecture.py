@@ -102,7 +102,7 @@ LAYERS = (
 ``public`` is ``import lumisplat`` and its names.
 """
 
-PUBLIC = {"avatars", "editing", "farm", "gradients", "inverse", "layers", "rays"}
+PUBLIC = {"avatars", "editing", "farm", "gradients", "inverse", "layers", "lights", "rays"}
 """Modules that only re-export names for users; packages such as ``io`` do so lazily."""
 
 HOST_ONLY = {

@@ -24,6 +24,7 @@ SUBMODULES = (
     "inverse",
     "io",
     "layers",
+    "lights",
     "metrics",
     "rays",
     "training",

@@ -14,6 +14,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.demo.shapes import icosphere
+from lumisplat.lights import LightPath
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.transforms import multiply_quaternions, rotation_matrix
 from lumisplat.relighting import avatar_lighter
@@ -103,6 +104,73 @@ def test_shadow_on_a_capture_follows_the_moving_actor() -> None:
     left = light_left(ground, stage.light([puppet(1.0)]).splats[0].gaussians)
     assert left[np.abs(ground.means - (1.5, 0.0, 0.0)).max(axis=1) < 0.15].max() < 0.05
     assert (left[ground.means[:, 0] < 0.0] == 1.0).all()
+
+
+def blocked(points: np.ndarray, lamp: Sequence[float], radius: float) -> np.ndarray:
+    """Returns whether the ball of `puppet`, with this radius, hides a lamp from each point, shape (N,): geometry."""
+    to_lamp = np.array(lamp) - points
+    along = ((np.array([0.0, 1.0, 0.0]) - points) * to_lamp).sum(axis=1) / (to_lamp**2).sum(axis=1)
+    return np.linalg.norm(points + along[:, None] * to_lamp - (0.0, 1.0, 0.0), axis=1) < radius
+
+
+def test_shadow_of_a_lamp_that_moves_by_keyframes_falls_where_geometry_says() -> None:
+    """Gaussians are dark inside the cone behind the ball and lit outside; a frame alone is as the one after others.
+
+    Gaussians of the ball reach 0.12 beyond its radius of 0.4, and those of the floor two times their 0.1.
+    """
+    ground = floor()
+    lamp = LightPath([replace(LIGHT, position=(x, 3.0, 0.5)) for x in (-1.5, 1.5)], [0.0, 3.0])
+    moving = ls.Animation(ls.Scene(splats=[ground]), lights=[lamp], frame_count=4, fps=1.0)
+    whole, lit = lighter(moving.scene_at(0.0), None), ground
+    for time in moving.times.tolist():
+        whole.update(moving.scene_at(time))
+        lit = whole.light([puppet()]).splats[0].gaussians
+        left = light_left(ground, lit)
+        position: Any = lamp.at(time)
+        assert left[blocked(ground.means, position.position, 0.3)].max() < 0.1
+        assert left[~blocked(ground.means, position.position, 0.7)].min() > 0.99
+    alone = lighter(moving.scene_at(0.0), None)
+    alone.update(moving.scene_at(3.0))
+    np.testing.assert_array_equal(lit.sh, alone.light([puppet()]).splats[0].gaussians.sh)
+
+
+def test_maps_are_built_anew_for_lights_that_moved_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three lights, one moves, one fades, and one stays; the static mesh's shadow follows the moving one, too."""
+    built: list[object] = []
+    build = DeepShadowMap.build
+    monkeypatch.setattr(
+        DeepShadowMap,
+        "build",
+        lambda casters, light, *more, **keys: built.append(light) or build(casters, light, *more, **keys),
+    )
+    mesh = replace(icosphere(0.4), material=ls.MaterialPbr())
+    moved, faded = replace(LIGHT, position=(1.0, 3.0, 0.0)), replace(LIGHT, position=(0.0, 3.0, 1.0), intensity=2.0)
+    first = ls.Scene([floor()], [ls.MeshInstance(mesh, position=(1.0, 1.0, 1.0))], [LIGHT, faded, LIGHT])
+    stage = lighter(first, None)
+    stage.light([puppet()])
+    assert len(built) == 2 * 3  # the actor's and the mesh's
+    built.clear()
+    second = replace(first, lights=[moved, replace(faded, intensity=4.0), LIGHT])
+    stage.update(second)
+    again = stage.light([puppet()]).splats[0].gaussians
+    assert built == 2 * [moved]
+    np.testing.assert_array_equal(again.sh, lighter(second, None).light([puppet()]).splats[0].gaussians.sh)
+    with pytest.raises(ls.SceneError, match="other captures or meshes than the lighter's"):
+        stage.update(ls.Scene([floor()]))
+
+
+def test_probe_of_an_actor_follows_an_environment_that_changes() -> None:
+    """A brighter environment around the capture brightens the actor, as if the lighter had begun with it."""
+    dim = ls.Scene([floor()], lights=[ls.LightEnvironment(color=(0.2, 0.2, 0.2)), replace(LIGHT, intensity=0.0)])
+    bright = replace(dim, lights=[replace(dim.lights[0], intensity=4.0), dim.lights[1]])
+    stage = lighter(dim, None, relight=True)
+    before = stage.light([puppet()]).splats[1].gaussians.sh[:, 0]
+    stage.update(bright)
+    after = stage.light([puppet()]).splats[1].gaussians.sh[:, 0]
+    assert after.mean() > before.mean() + 0.1
+    np.testing.assert_array_equal(
+        after, lighter(bright, None, relight=True).light([puppet()]).splats[1].gaussians.sh[:, 0]
+    )
 
 
 def test_frames_of_an_actor_that_returns_to_its_first_position_are_equal_to_the_bit() -> None:

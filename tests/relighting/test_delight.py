@@ -107,7 +107,7 @@ def test_delight_gives_all_normals_of_a_free_standing_sheet_the_same_side() -> N
     lying = np.where((np.arange(sheet.count) % 3 == 0)[:, None], half_rotation, (1.0, 0.0, 0.0, 0.0))
     scales = np.tile((0.1, 0.01, 0.1), (sheet.count, 1))
     capture = colored(replace(sheet, rotations_wxyz=lying, scales=scales), np.full((sheet.count, 3), 0.4))
-    normals = ls.delight(capture, ls.DelightConfig(cells=4, matt=True), device="cpu").normals
+    normals = ls.delight(capture, ls.config.DelightConfig(cells=4, matt=True), device="cpu").normals
     assert normals is not None and len(np.unique(np.sign(normals[:, 1]))) == 1
 
 
@@ -194,7 +194,7 @@ def test_delight_recovers_albedo_in_a_constant_environment_up_to_one_factor(
     """The bands of a ball differ from one factor by less than 5 %; means and SH coefficients are unchanged."""
     plain, albedo = ball
     captured = colored(plain, albedo)
-    found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=8, matt=True), device="cpu")
+    found = ls.inverse.estimate_materials(captured, ls.config.DelightConfig(cells=8, matt=True), device="cpu")
     assert not found.is_inside
     assert np.array_equal(found.gaussians.means, captured.means)
     assert np.array_equal(found.gaussians.sh, captured.sh)
@@ -212,7 +212,7 @@ def test_delight_removes_the_shading_of_a_ball_lit_from_above(ball: tuple[ls.Gau
     captured = colored(
         plain, albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None]
     )  # radiance of the upper half of the environment
-    found = np.asarray(ls.delight(captured, ls.DelightConfig(cells=8, matt=True), device="cpu").albedo)
+    found = np.asarray(ls.delight(captured, ls.config.DelightConfig(cells=8, matt=True), device="cpu").albedo)
 
     def spread(values: np.ndarray) -> float:
         ratio = np.log(np.maximum(values, 1e-3) / albedo)
@@ -238,7 +238,7 @@ def test_relighting_by_the_estimated_light_reproduces_the_capture() -> None:
     captured, wanted = lit(truth, ls.LightEnvironment(color=(0.8, 0.8, 0.8)))
     errors = {}
     for matt in (False, True):
-        found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=6, matt=matt), device="cpu")
+        found = ls.inverse.estimate_materials(captured, ls.config.DelightConfig(cells=6, matt=matt), device="cpu")
         _, again = lit(found.gaussians, ls.LightEnvironment(found.environment_image()))
         errors[matt] = np.median(np.abs(again / wanted - 1.0)[is_dark])
     assert errors[False] < 0.08 and errors[True] > 0.25
@@ -250,7 +250,7 @@ def test_delight_flags_gaussians_darker_than_their_specular_reflection_in_any_ch
     """One dark channel suffices, because relighting would make the colour paler; with ``matt``, none is flagged."""
     captured = colored(ball[0], np.tile((0.6, 0.3, 0.004), (ball[0].count, 1)))
     found, matt = (
-        ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=4, matt=matt), device="cpu")
+        ls.inverse.estimate_materials(captured, ls.config.DelightConfig(cells=4, matt=matt), device="cpu")
         for matt in (False, True)
     )
     assert found.is_too_dark.mean() > 0.95
@@ -263,7 +263,7 @@ def test_delight_estimates_a_capture_without_view_dependence_as_rough(ball: tupl
     plain, albedo = ball
     flat = colored(plain, albedo)
     sh = np.concatenate([flat.sh, np.zeros((plain.count, 3, 3), np.float32)], axis=1)
-    config = ls.DelightConfig(cells=4)
+    config = ls.config.DelightConfig(cells=4)
     found = ls.inverse.estimate_materials(replace(flat, sh=sh), config, device="cpu")
     assert np.median(np.asarray(found.gaussians.roughness)) > 0.65
     assert found.roughness_confidence.shape == (plain.count,)
@@ -277,7 +277,7 @@ def test_delight_keeps_given_normals_to_the_bit(ball: tuple[ls.Gaussians, np.nda
     plain, albedo = ball
     inwards = -np.asarray(plain.normals)
     captured = replace(colored(plain, albedo), normals=inwards)
-    found = ls.delight(captured, ls.DelightConfig(cells=4), device="cpu")
+    found = ls.delight(captured, ls.config.DelightConfig(cells=4), device="cpu")
     assert np.array_equal(np.asarray(found.normals), inwards)
 
 
@@ -286,7 +286,7 @@ def test_delight_gives_equal_bits_for_equal_seeds_and_any_number_of_threads(
 ) -> None:
     """One and two threads give equal albedo; another seed changes it slightly."""
     captured = colored(ball[0], ball[1])
-    config = ls.DelightConfig(cells=4)
+    config = ls.config.DelightConfig(cells=4)
     one = np.asarray(ls.delight(captured, config, device="cpu", threads=1).albedo)
     two = np.asarray(ls.delight(captured, config, device="cpu", threads=2).albedo)
     assert np.array_equal(one, two)
@@ -374,8 +374,8 @@ def test_delight_refuses_captures_that_lack_a_surface_or_are_all_black_or_all_wh
     with pytest.raises(ls.SceneError, match="delight takes"):
         ls.delight(ls.Scene([plain]))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.ConfigError, match="cells"):
-        ls.DelightConfig(cells=2)
-    ls.delight(plain, ls.DelightConfig(cells=4), device="cpu")
+        ls.config.DelightConfig(cells=2)
+    ls.delight(plain, ls.config.DelightConfig(cells=4), device="cpu")
     assert "albedo of the capture is replaced" in caplog.text
 
 
@@ -467,7 +467,7 @@ def test_delight_logs_that_a_capture_has_no_clear_surface_and_gives_advice(
 
 def test_progress_of_delight_counts_light_fits_in_rays_at_the_measured_pace_of_rays() -> None:
     """Fits take as many seconds whether rays are fast or slow."""
-    config = ls.DelightConfig(cells=4)
+    config = ls.config.DelightConfig(cells=4)
     slow, fast = (_costs(1000, 1, config, inside=True, shines=True, rays_per_s=pace) for pace in (1e4, 1e5))
     assert slow["finding sides"] == fast["finding sides"] and slow["tracing the light"] == fast["tracing the light"]
     for stage in ("finding the light", "finding highlights"):
@@ -477,7 +477,7 @@ def test_progress_of_delight_counts_light_fits_in_rays_at_the_measured_pace_of_r
 def test_progress_of_delight_covers_all_stages_and_never_decreases(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """The fraction ends at 1, after over a hundred reports."""
     reported: list[tuple[str, float]] = []
-    ls.delight(ball[0], ls.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
+    ls.delight(ball[0], ls.config.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
     delight_reports = [(label, share) for label, share in reported if label.startswith("delighting")]
     shares = [share for _, share in delight_reports]
     assert shares == sorted(shares) and shares[-1] == 1.0 and len(set(shares)) > 100
@@ -494,7 +494,7 @@ def test_delight_fits_the_light_with_one_blas_thread(ball: tuple[ls.Gaussians, n
             threads.update(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
 
     with threadpool_limits(2, user_api="blas"):
-        ls.delight(ball[0], ls.DelightConfig(cells=4), device="cpu", progress=report)
+        ls.delight(ball[0], ls.config.DelightConfig(cells=4), device="cpu", progress=report)
     assert threads == {1}
 
 
@@ -546,7 +546,7 @@ ALONE, GROUND, WALL = sphere(0.5), plane(6.0, 6.0), walls()[0]
 )
 def test_delight_treats_a_capture_as_a_room_only_if_it_is_closed(meshes: list[ls.Mesh], inside: bool) -> None:
     """A remark reports the decision, and how light from outside the capture was treated."""
-    found = ls.inverse.estimate_materials(scene_of(*meshes), ls.DelightConfig(cells=4), device="cpu")
+    found = ls.inverse.estimate_materials(scene_of(*meshes), ls.config.DelightConfig(cells=4), device="cpu")
     assert found.is_inside is inside
     assert found.remarks[0].startswith("taken for a closed room" if inside else "taken for an open scene")
 

@@ -91,7 +91,7 @@ def test_delight_divides_bright_environment_cells_and_locates_the_sun_to_10_degr
     light = 0.25 + 0.7 * np.maximum(np.asarray(plain.normals, np.float64) @ sun, 0.0)
     sh = (encode_srgb(albedo * light) - 0.5)[:, None, None] / SH_C0 * np.ones(3)
     captured = replace(plain, sh=sh.astype(np.float32), albedo=None, roughness=None, normals=None)
-    found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=4, matt=True), device="cpu")
+    found = ls.inverse.estimate_materials(captured, ls.config.DelightConfig(cells=4, matt=True), device="cpu")
     brightest = found.cells.directions[found.environment.mean(axis=1).argmax()]
     assert np.degrees(np.arccos(brightest @ sun)) < 10.0
     assert np.log(np.asarray(found.gaussians.albedo).mean(axis=1) / albedo).std() < 0.1
@@ -146,7 +146,7 @@ def test_rotation_of_the_estimated_environment_light_matches_its_image() -> None
     cells, environment = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = with_color(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
     found = replace(
-        ls.inverse.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"),
+        ls.inverse.estimate_materials(floor, ls.config.DelightConfig(cells=4), device="cpu"),
         cells=cells,
         environment=environment,
     )

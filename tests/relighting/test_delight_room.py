@@ -33,7 +33,7 @@ def box() -> CapturedBox:
 @pytest.fixture(scope="module")
 def estimate(box: CapturedBox) -> MaterialEstimate:
     """Returns the estimated materials of the box."""
-    config = ls.DelightConfig(cells=5, matt=True, inside=True)
+    config = ls.config.DelightConfig(cells=5, matt=True, inside=True)
     return ls.inverse.estimate_materials(box.gaussians, config, device="cpu")
 
 

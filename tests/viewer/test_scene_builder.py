@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,6 +60,26 @@ def test_viewer_shows_actors_with_the_colours_that_animation_frames_give_them(sc
     for found, wanted_colors in zip(colors(shown), colors(expected), strict=True):
         np.testing.assert_array_equal(found, wanted_colors)
     assert np.abs(colors(shown)[0] - colors(wanted.scene)[0]).max() > 0.1  # there is a shadow
+
+
+def test_viewer_moves_lights_with_time_as_animation_frames_do(scenes: SceneBuilder) -> None:
+    """Shadows of an actor follow a sun that moves; without actors, the light of the scene does."""
+    path = ls.lights.LightPath([ls.LightDirectional((x, 1.0, 0.0)) for x in (0.9, -0.9)], [0.0, 2.0])
+    wanted = replace(animation(), scene=ls.Scene([floor()], up=UP), lights=[path])
+    document = ls.io.SceneDocument.of(wanted)
+    scenes.of(document, CONFIG, 0.5, 0, waits=True)
+    shown = scenes.of(document, CONFIG, 1.5, 0, waits=True)
+    lighter = ls.AvatarLighter(wanted.scene_at(0.0), config=wanted.lighting, device="cpu")
+    lighter.light(wanted.actors_at(0.0))  # exposures are those of frame 0
+    lighter.update(wanted.scene_at(1.5))
+    for found, expected in zip(colors(shown), colors(lighter.light(wanted.actors_at(1.5))), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    alone = ls.io.SceneDocument.of(replace(wanted, actors=[]))
+    for time in (0.5, 1.5):
+        directions: list[Any] = [
+            one.lights[0] for one in (scenes.of(alone, CONFIG, time, 0, waits=True), wanted.scene_at(time))
+        ]
+        np.testing.assert_allclose(directions[0].direction, directions[1].direction, atol=1e-12)
 
 
 def test_viewers_scene_builder_returns_the_same_scene_object_for_equal_inputs(scenes: SceneBuilder) -> None:

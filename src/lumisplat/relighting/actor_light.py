@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -97,9 +97,9 @@ class ActorLight:
         device: str,
         progress: Progress | None,
     ) -> None:
-        self._scene, self.config = scene, config
-        self._lights = tuple(light for light in lights if not isinstance(light, LightEnvironment))
+        self._scene, self.config, self._background = scene, config, background
         self._device, self._progress = device, progress
+        self.take_lights(lights)
         self.probes = ProbeCache(scene, background, device, progress)
         has_environment = any(isinstance(light, LightEnvironment) and light.enabled for light in scene.lights)
         self._sees_black = not any(background) and not has_environment
@@ -109,6 +109,21 @@ class ActorLight:
         self._exposures: dict[int, Exposure] = {}
         """Exposure of each actor, by its position in the list of actors, estimated when it is first lit."""
         self._warned: set[int] = set()
+
+    def take_lights(self, lights: Sequence[Light]) -> None:
+        """Takes the given lights of the next frames. Environments are left out: probes capture them."""
+        self._lights = tuple(light for light in lights if not isinstance(light, LightEnvironment))
+
+    def take_environments(self, environments: Sequence[LightEnvironment]) -> None:
+        """Lets probes capture the first scene with other environments; equal objects change nothing.
+
+        Exposures stay, so that actors follow an environment that fades.
+        """
+        lights = self._scene.lights
+        if [id(one) for one in lights if isinstance(one, LightEnvironment)] != [*map(id, environments)]:
+            others = (light for light in lights if not isinstance(light, LightEnvironment))
+            self._scene = replace(self._scene, lights=(*others, *environments))
+            self.probes = ProbeCache(self._scene, self._background, self._device, self._progress)
 
     def scales(
         self,
@@ -173,8 +188,9 @@ class ActorLight:
         directions, distances = _towards(light, starts)
         reach = np.minimum((1.0 - LAMP_MARGIN) * distances, _shadow_distance(light))
         seen = float(self._through_scene.transmittance(self._scene, starts, directions, reach).mean())
-        if seen < 1e-3 and id(light) not in self._warned:
-            self._warned.add(id(light))
+        row = self._lights.index(light)
+        if seen < 1e-3 and row not in self._warned:
+            self._warned.add(row)
             name = f"light '{light.name}'" if light.name else "a light"
             text = "%s does not reach an actor: the scene blocks it; if a captured sky does, set shadow_distance"
             _log.warning(text, name)

@@ -18,7 +18,7 @@ from lumisplat.math.arrays import FloatArray, float_array
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.progress import Progress
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import Light, LightEnvironment, PlacedLight, facing_irradiance
+from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, PlacedLight, facing_irradiance
 from lumisplat.scene.local_frame import PlacedGaussians, distance_from_body, rendered_frame
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.colors import Subject, scale_light_of
@@ -205,22 +205,44 @@ class ActorShadows:
         # A map keeps its region around the first casters, but actors leave it: the radius is applied here instead.
         self._config = replace(config.shadow_map, region_radius=None)
         self._device, self._progress = device, progress
-        self._meshes = MeshesAsGaussians()
-        self._maps: list[DeepShadowMap] = []
-        """Deep shadow map of the actors for each light, rebuilt every frame; empty until the first frame with actors.
-        """
+        self._meshes, self._static_meshes = MeshesAsGaussians(), list(meshes)
+        self._maps: list[DeepShadowMap | None] = [None] * len(self._lights)
+        """Deep shadow map of the actors for each light, rebuilt every frame. None: not built yet, or for a light that
+        has moved since."""
         self._shares = [light_shares(self._lights, receiver) for receiver in self._receivers]
         self._origin = rendered_frame(Scene(self._receivers))[0].origin
         """World position of the local coordinates in which actors' Gaussians are stored as float32, shape (3,)."""
         self._means = [receiver.world_means for receiver in self._receivers]
         self._static = np.ones((len(self._lights), sum(map(len, self._means))), dtype=np.float32)
         """Transmittance of L lights at all N captured Gaussians through the meshes of the scene, without actors, shape
-        (L, N). It is constant, because the meshes do not move."""
+        (L, N). A row changes only if its light moves."""
         self._warned_lights: set[int] = set()
         self._warned_of_radius = False
-        if meshes:
-            for row, light in enumerate(self._lights):
-                self._static[row] = self._build(meshes, light).transmittance_of(self._receivers)
+        for row in range(len(self._lights)):
+            self._shadow_meshes(row)
+
+    def take_lights(self, lights: Sequence[Light]) -> bool:
+        """Takes the lights of the next frames, in the order of those before; False if there are more or fewer.
+
+        Maps are built anew for lights that moved. All others keep theirs, to the bit.
+        """
+        if len(lights) != len(self._lights):
+            return False
+        before, self._lights = self._lights, tuple(lights)
+        if before == self._lights:
+            return True
+        self._shares = [light_shares(self._lights, receiver) for receiver in self._receivers]
+        for row, (old, new) in enumerate(zip(before, self._lights, strict=True)):
+            if _source(old) != _source(new):
+                self._maps[row] = None
+                self._shadow_meshes(row)
+        return True
+
+    def _shadow_meshes(self, row: int) -> None:
+        """Computes the transmittance of one light through the meshes of the scene."""
+        if self._static_meshes:
+            shadow = self._build(self._static_meshes, self._lights[row])
+            self._static[row] = shadow.transmittance_of(self._receivers)
 
     def darken(self, casters: Sequence[PlacedActor]) -> list[SplatInstance]:
         """Returns the captures with one frame's shadows; a capture on which no shadow falls stays the same object.
@@ -244,16 +266,21 @@ class ActorShadows:
         # One set for all lights, so that meshes are converted to Gaussians once.
         sh = np.zeros((len(casters.means), 1, 3), dtype=np.float32)
         gaussians = Gaussians(*casters, sh=sh, origin=self._origin)
-        if self._maps:
-            for shadow in self._maps:
-                shadow.rebuild(gaussians)
-        else:
-            self._maps = [self._build(gaussians, light) for light in self._lights]
-        transmittances = np.array([shadow.transmittance_of(self._receivers) for shadow in self._maps])
+        maps = [self._rebuilt(row, gaussians) for row in range(len(self._lights))]
+        transmittances = np.array([shadow.transmittance_of(self._receivers) for shadow in maps])
         self._warn_of_darkness(transmittances)
         if self._radius is not None:
             transmittances[:, self._is_far(casters, self._radius)] = 1.0
         return transmittances
+
+    def _rebuilt(self, row: int, casters: Gaussians) -> DeepShadowMap:
+        """Returns the map of one light with one frame's casters."""
+        shadow = self._maps[row]
+        if shadow is None:
+            shadow = self._maps[row] = self._build(casters, self._lights[row])
+        else:
+            shadow.rebuild(casters)
+        return shadow
 
     def _is_far(self, casters: PlacedGaussians, radius: float) -> npt.NDArray[np.bool_]:
         """Returns which captured Gaussians are farther than ``radius`` from the actors' box; warns once if all are."""
@@ -293,6 +320,13 @@ class ActorShadows:
                     "light %r is inside an actor, which shadows everything around: move the light, or leave it out",
                     light.name or row,
                 )
+
+
+def _source(light: Light) -> tuple[bool, object]:
+    """Returns what of a light its shadow map depends on: whether it has a direction, and the direction or position."""
+    if isinstance(light, LightDirectional):
+        return True, light.direction
+    return False, getattr(light, "position", None)
 
 
 def _is_inside(point: npt.NDArray[np.float64], casters: PlacedGaussians) -> bool:

@@ -18,7 +18,7 @@ from lumisplat.progress import Progress
 from lumisplat.relighting.actor_light import ActorLight
 from lumisplat.relighting.actors import ActorShadows, PlacedActor, actor_flags, casting_lights, centroid, placed_actors
 from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
-from lumisplat.relighting.probe import EnvironmentProbe
+from lumisplat.relighting.probe import EnvironmentProbe, ProbeCache
 from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
 from lumisplat.renderer.scene.materials import emits_capture_only
 from lumisplat.scene.animation.correspondence import carried_normals, correspond
@@ -122,6 +122,7 @@ class AvatarLighter:
         _check_scene(scene)
         self.scene = scene
         """Static scene, with its captured colours, before any shadow of an actor."""
+        self._given = None if lights is None else tuple(checked_lights(lights))
         self._roles = _LightRoles.of(scene, lights)
         self.lights: tuple[Light, ...] | None = self._roles.casting
         """Lights that actors block from captures: given by the user, of the scene, or estimated. None: not estimated
@@ -137,12 +138,45 @@ class AvatarLighter:
         self._actor_light = ActorLight(
             scene, given, self.config, background=background, device=device, progress=progress
         )
-        self._probes = self._actor_light.probes
         self._receivers = _receivers(scene, self._roles.uses_scene_lights)
         self._shadows: ActorShadows | None = None
         """Shadow maps of actors on the captures; None until a frame needs them."""
         self._normals: dict[int, tuple[Gaussians, FloatArray]] = {}
         """Gaussians of each actor when it was first lit, and their normals, by the actor's position in the list."""
+
+    def update(self, scene: Scene) -> None:
+        """Takes the scene at the time of the next frames: the same captures and meshes with other lights or materials.
+
+        Shadow maps of lights that moved are built anew. The other maps stay, and so do probes, which hold the captured
+        light, unless the environment changed. A frame depends on the first scene and on this one alone, not on those
+        in between.
+
+        Args:
+            scene: Scene with the captures and meshes of the first one, in the same order and place.
+
+        Raises:
+            SceneError: The scene has other captures or meshes.
+        """
+        if scene is self.scene:
+            return
+        _check_scene(scene)
+        if _objects(scene) != _objects(self.scene):
+            raise SceneError("the scene of a frame has other captures or meshes than the lighter's: make a new lighter")
+        was_lit = self._roles.uses_scene_lights
+        self.scene, self._roles = scene, _LightRoles.of(scene, self._given)
+        self._actor_light.take_lights(self._roles.given if self.config.lights_on_actors else ())
+        if self._roles.uses_scene_lights != was_lit:
+            self._receivers, self._shadows = _receivers(scene, self._roles.uses_scene_lights), None
+        if self._roles.casting is not None:
+            self.lights = self._roles.casting
+            if self._shadows is not None and not self._shadows.take_lights(self.lights):
+                self._shadows = None
+        if scene.is_lit_by_default:
+            self._actor_light.take_environments([one for one in scene.lights if isinstance(one, LightEnvironment)])
+
+    @property
+    def _probes(self) -> ProbeCache:
+        return self._actor_light.probes
 
     def light(
         self,
@@ -280,6 +314,12 @@ class AvatarLighter:
             around = self._probes.at(centroid(meshes)).light()
             lights = (*lights, replace(around, intensity=1.0 - self.config.direct, name="around"))
         return tuple(replace(light, casts_shadow=False) for light in lights)
+
+
+def _objects(scene: Scene) -> list[tuple[int, bytes]]:
+    """Returns what identifies the captures and meshes of a scene, and their places, whatever their material."""
+    splats = [(id(one.gaussians.means), one.transform.tobytes()) for one in scene.splats]
+    return splats + [(id(one.mesh.positions), one.transform.tobytes()) for one in scene.meshes]
 
 
 def _check_scene(scene: object) -> None:

@@ -48,9 +48,10 @@ def _outlines(session: Session) -> list[Outline]:
     """Returns the outlines of visible lights, the dome of a selected sun, and the selected object's bounding box."""
     document, size = session.state.document, _LIGHT_SIZE * session.extent.size
     lights = [entry for entry in document.entries if entry.kind == "lights" and not entry.hidden]
-    found = [light_outline(entry.lights[0], size, is_selected=entry.id == session.selected) for entry in lights]
+    time = session.options.time
+    found = [light_outline(one.lights_at(time)[0], size, is_selected=one.id == session.selected) for one in lights]
     selected = session.selected_entry
-    if selected in lights and isinstance(sun := selected.lights[0], ls.LightDirectional):
+    if selected in lights and isinstance(sun := selected.lights_at(time)[0], ls.LightDirectional):
         extent = session.extent
         found.append(sun_outline(sun, extent.center, extent.dome_radius, session.scene.up_direction))
     return [outline for outline in found if outline is not None] + _selection(session)

@@ -125,7 +125,7 @@ KEYS = "[[actors.keyframes]]\n"
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("[[splats]]\npath = 'capture.ply'", "has neither [[actors]] nor a camera with keyframes"),
+        ("[[splats]]\npath = 'capture.ply'", "has neither [[actors]] nor keyframes of a camera, light or material"),
         ("[actors]\npath = 'tube.glb'", "line 1: actors must be written with double brackets: [[actors]]"),
         ("[[actors]]\nclip = 'bend'", "line 1, actors[0]: lacks path"),
         (ACTOR + "clips = 'bend'", "line 4, actors[0]: unknown 'clips', did you mean 'clip'?"),

@@ -87,7 +87,9 @@ class Animate(FrameCommand):
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
         animation = self._animation(environment, report)
-        config = self.light.with_capture_gain(renderer, config, with_actors(animation.scene, animation.actors_at(0.0)))
+        config = self.light.with_capture_gain(
+            renderer, config, with_actors(animation.scene_at(0.0), animation.actors_at(0.0))
+        )
         cameras = self._cameras(animation)
         frames = FrameList(
             folder=folder,
@@ -115,7 +117,10 @@ class Animate(FrameCommand):
                 allow_outside=self.allow_outside,
             )
         lit = self.light.lit_scene(self.viewpoint.upright(animation.scene), environment)
-        animation = replace(animation, scene=lit, lighting=self.changed(animation.lighting, LIGHTING))
+        at_start = [(one, ls.lights.light_at(one, 0.0)) for one in animation.lights]
+        moving = [one for one, light in at_start if environment is None or not isinstance(light, ls.LightEnvironment)]
+        lighting = self.changed(animation.lighting, LIGHTING)
+        animation = replace(animation, scene=lit, lights=moving, lighting=lighting)
         report(f"loading {self.scene.name}", 1.0)
         return animation if self.fps is None else _at_rate(animation, self.fps)
 
@@ -138,7 +143,9 @@ class Animate(FrameCommand):
             along = (animation.camera_path.at(float(time)) for time in animation.times)
             return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
         if not cameras:
-            cameras = [self.viewpoint_camera(with_actors(animation.scene, animation.actors_at(0.0)), self.scene)]
+            cameras = [
+                self.viewpoint_camera(with_actors(animation.scene_at(0.0), animation.actors_at(0.0)), self.scene)
+            ]
         if len(cameras) not in (1, count):
             raise ls.ConfigError(
                 f"{source} has {len(cameras)} cameras, expected one, or one for each of the {count} frames: choose by "
@@ -246,7 +253,7 @@ class _AnimationFrames:
         If no light can be estimated, actors cast no shadows, which is logged.
         """
         self._lighter = ls.AvatarLighter(
-            self._animation.scene,
+            self._animation.scene_at(0.0),
             config=self._animation.lighting,
             background=self._source.renderer.config.background or (0.0, 0.0, 0.0),
             device=self._source.renderer.device,
@@ -264,9 +271,10 @@ class _AnimationFrames:
         """Returns the scene at the time of a frame number, with actors lit by captures and casting shadows on them."""
         animation, now = self._animation, float(self._animation.times[index])
         placed = [(instance, actor) for actor in animation.actors for instance in actor.at(now)]
-        instances = [instance for instance, _ in placed]
+        instances, scene = [instance for instance, _ in placed], animation.scene_at(now)
         if self._lighter is None:
-            return with_actors(animation.scene, instances)
+            return with_actors(scene, instances)
+        self._lighter.update(scene)
         return self._lighter.light(
             instances,
             casts_shadow=[actor.casts_shadow for _, actor in placed],

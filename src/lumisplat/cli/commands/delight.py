@@ -61,9 +61,9 @@ class Delight(LevelsCommand, DeviceCommand):
             return
         self._check_outputs()
         self.check_levels([self.capture])
-        given = given_settings_of(self, ls.DelightConfig)
+        given = given_settings_of(self, ls.config.DelightConfig)
         given["inside"] = _INSIDE[self.inside]
-        config = ls.DelightConfig(**given)
+        config = ls.config.DelightConfig(**given)
         with progress_bars() as report:
             self.quiet_warp()
             capture = self._loaded(report)

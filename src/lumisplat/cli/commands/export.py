@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import USD, WITH_CAMERAS, gltf_document, size_on_disk, toml_values
+from lumisplat.cli.input.loading import USD, WITH_CAMERAS, gltf_document, has_motion, size_on_disk, toml_values
 from lumisplat.cli.options.camera import UpOption, parse_up, upright, warn_if_up_is_guessed
 from lumisplat.cli.options.command import InsertingCommand, own_options_first
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
@@ -94,13 +94,7 @@ def _written_counts(path: Path, scene: ls.Scene, cameras: list[ls.Camera]) -> tu
 
 
 def _is_animated(file: Path) -> bool:
-    """True if a scene.toml has actors or moving cameras; False also for a file that cannot be read."""
-    values: dict[str, Any] = {}
+    """True if a scene.toml has actors or keyframes; False also for a file that cannot be read."""
     with suppress(OSError, ValueError):
-        values = toml_values(file)
-    return "actors" in values or any("keyframes" in camera for camera in _tables(values.get("cameras")))
-
-
-def _tables(value: Any) -> list[dict[str, Any]]:
-    """Returns the dictionaries among the elements of a list; an empty list if ``value`` is not a list."""
-    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []  # pyright: ignore[reportUnknownVariableType]
+        return has_motion(toml_values(file))
+    return False

@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, gltf_document, size_on_disk, toml_values
+from lumisplat.cli.input.loading import (
+    BLOCKS,
+    WITH_CAMERAS,
+    block_folder,
+    gltf_document,
+    has_motion,
+    size_on_disk,
+    toml_values,
+)
 from lumisplat.cli.options.command import Flag, LevelsCommand, own_options_first
 from lumisplat.cli.output.console import byte_size, counted, print_table, progress_bars, up_name
 from lumisplat.cli.output.images import file_stems
@@ -139,8 +147,8 @@ def _cameras(path: Path) -> list[ls.Camera]:
 
 
 def _animation(path: Path) -> ls.Animation | None:
-    """Returns the animation of a scene file; None if the file has no actors."""
-    if path.suffix.lower() != ".toml" or not toml_values(path).get("actors"):
+    """Returns the animation of a scene file; None if nothing in it moves."""
+    if path.suffix.lower() != ".toml" or not has_motion(toml_values(path)):
         return None
     return ls.load_animation(path)
 

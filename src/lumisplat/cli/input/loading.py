@@ -323,6 +323,15 @@ def toml_values(path: Path) -> dict[str, Any]:
     return tomllib.loads(read_text(path))
 
 
+def has_motion(values: object) -> bool:
+    """Returns whether the content of a scene file has actors, or keyframes of a camera, light or material."""
+    if isinstance(values, list):
+        return any(map(has_motion, values))  # pyright: ignore[reportUnknownArgumentType]
+    if not isinstance(values, dict):
+        return False
+    return bool({"actors", "keyframes"} & values.keys()) or any(map(has_motion, values.values()))  # pyright: ignore
+
+
 def _paths(text: str) -> set[str]:
     r"""Returns the paths that a string in a file may mean, with ``\`` or ``/``; none for ``.``, ``..`` and ``/``."""
     is_path = 0 < len(text) < 1024 and "\0" not in text and bool(set(Path(text).parts) - {".", "..", "/"})

@@ -19,7 +19,7 @@ from lumisplat.io.scene_toml.placement import is_placed, placement
 from lumisplat.io.scene_toml.toml_table import TomlTable, plain_value
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.animation.actors import Actor, Instance
-from lumisplat.scene.checks import with_checked
+from lumisplat.scene.animation.lights import LightPath, MovingLight, light_at
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -46,6 +46,8 @@ class SceneEntry:
     meshes: tuple[MeshInstance, ...] = ()
     lights: tuple[Light, ...] = ()
     actor: Actor | None = None
+    moving: MovingLight | None = None
+    """The light of the entry if it changes with time; ``lights`` then has it at time 0."""
     world_from_file: Doubles | None = None
     """Transform from the asset's file to the world, a similarity, shape (4, 4); None for lights."""
     _assets: tuple[Scene, ...] = field(default=(), repr=False)
@@ -73,6 +75,13 @@ class SceneEntry:
             return not self.table.get("enabled", True)
         return bool(self.table.get("hidden", False))
 
+    @property
+    def is_of_program(self) -> bool:
+        """True if the entry is an actor or a moving light that a program made and that no table describes."""
+        if self.moving is not None:
+            return "keyframes" not in self.table
+        return self.actor is not None and "path" not in self.table
+
     def at(self, time: float) -> tuple[Instance, ...]:
         """Returns the captures and meshes of the entry in world space at a time in seconds.
 
@@ -87,6 +96,10 @@ class SceneEntry:
             self._poses.clear()
             self._poses[time] = pose
         return pose
+
+    def lights_at(self, time: float) -> tuple[Light, ...]:
+        """Returns the lights of the entry at a time in seconds."""
+        return self.lights if self.moving is None else (light_at(self.moving, time),)
 
 
 @dataclass(slots=True)
@@ -131,9 +144,9 @@ class EntryReader:
         table = TomlTable.of(self.file, plain, kind)
         entry = SceneEntry(number, kind, MappingProxyType(plain))
         if kind == "lights":
-            return replace(entry, lights=(read_light(table),))
+            return _with_light(entry, read_light(table))
         if kind == "environment":
-            return replace(entry, lights=(self._environment(table),))
+            return _with_light(entry, self._environment(table))
         if kind == "actors":
             if self._subjects is None:
                 self._subjects = Subjects(self.load)
@@ -167,18 +180,22 @@ class EntryReader:
             self._assets = Assets(self.load, named, self.up, self.memory)
         return self._assets
 
-    def _environment(self, table: TomlTable) -> LightEnvironment:
+    def _environment(self, table: TomlTable) -> LightEnvironment | LightPath:
         """Reads an ``[environment]`` table as a light. An image that several edits of the table name is read once."""
         path = table.values.get("path")
-        if path is None:
-            return read_environment(table)
-        rest = {key: value for key, value in table.values.items() if key != "path"}
-        light = read_environment(TomlTable.of(self.file, rest, "environment"))
-        if path not in self.environments:
-            read = read_environment(table)
-            assert read.image is not None
-            self.environments[path] = read.image
-        return with_checked(light, image=self.environments[path])
+        read = read_environment(table, None if path is None else self.environments.get(path))
+        if path is not None and path not in self.environments:
+            light = read.lights[0] if isinstance(read, LightPath) else read
+            assert isinstance(light, LightEnvironment) and light.image is not None
+            self.environments[path] = light.image
+        return read
+
+
+def _with_light(entry: SceneEntry, light: Light | LightPath) -> SceneEntry:
+    """Returns an entry with a light, which may change with time."""
+    if isinstance(light, LightPath):
+        return replace(entry, lights=(light.at(0.0),), moving=light)
+    return replace(entry, lights=(light,))
 
 
 def _is_inserted(entry: SceneEntry) -> bool:
@@ -222,7 +239,9 @@ def visible_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tup
     scene = Scene(
         splats=[instance for instance, _ in splats],
         meshes=[instance for instance, _ in meshes],
-        lights=[light for kind in _LIGHTS for entry in visible if entry.kind == kind for light in entry.lights],
+        lights=[
+            light for kind in _LIGHTS for entry in visible if entry.kind == kind for light in entry.lights_at(time)
+        ],
         up=up,
     )
     return scene, [entry for _, entry in (*splats, *meshes)]

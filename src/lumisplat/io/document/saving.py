@@ -17,7 +17,15 @@ import numpy as np
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.document.entries import EntryKind, EntryReader, SceneEntry
-from lumisplat.io.document.tables import camera_tables, is_similarity, light_table, material_table, placement_table
+from lumisplat.io.document.tables import (
+    camera_tables,
+    is_similarity,
+    light_path_table,
+    light_table,
+    material_path_table,
+    material_table,
+    placement_table,
+)
 from lumisplat.io.images.radiance import write_radiance
 from lumisplat.io.images.texture import write_png
 from lumisplat.io.meshes.mesh_ply import write_ply_mesh
@@ -25,10 +33,11 @@ from lumisplat.io.scene_toml.config_file import changed_settings
 from lumisplat.io.splats.splat_ply import write_splat_ply
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.animation.actors import Actor, Animation
+from lumisplat.scene.animation.lights import LightPath, MovingLight
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import LightEnvironment
+from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.local_frame import placed_mesh
-from lumisplat.scene.materials import MaterialPbr, texture_names
+from lumisplat.scene.materials import Material, MaterialPbr, texture_names
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -45,6 +54,8 @@ class MemoryEntries:
     """Captures and meshes. The keys are their placeholder paths in the tables, such as ``<capture 0>``."""
     environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     actors: tuple[Actor, ...] = ()
+    lights: list[MovingLight] = field(default_factory=list[MovingLight])
+    """Lights given by functions of time."""
     problems: list[str] = field(default_factory=list[str])
     """A message for each object that cannot become an entry."""
 
@@ -60,7 +71,15 @@ def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
     actors: tuple[Actor, ...] = ()
     top: dict[str, Any] = {}
     problems: list[str] = []
+    paths: list[LightPath] = []
+    functions: list[MovingLight] = []
     if isinstance(scene, Animation):
+        paths = [light for light in scene.lights if isinstance(light, LightPath)]
+        functions = [light for light in scene.lights if not isinstance(light, LightPath)]
+        materials = {
+            path.name: material_path_table(path, _kind_named(scene.scene, path.name)) for path in scene.materials
+        }
+        top |= {"materials": materials} if materials else {}
         actors = scene.actors
         lighting = changed_settings(scene.lighting)
         timing = {"fps": float(scene.fps), "frames": int(scene.frame_count)}
@@ -75,20 +94,38 @@ def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
     if not isinstance(scene, Scene):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SceneError(f"expected a Scene, an Animation, Gaussians or a Mesh, got a {type(scene).__name__}")
     memory = MemoryEntries(scene.up_direction, top | {"up": list(scene.up_direction)}, actors=actors, problems=problems)
-    paths: dict[int, str] = {}
+    memory.lights = functions
+    names: dict[int, str] = {}
     for splat in scene.splats:
-        memory.tables.append(("splats", _splat_table(memory, splat, paths)))
+        memory.tables.append(("splats", _splat_table(memory, splat, names)))
     for mesh in scene.meshes:
-        memory.tables.append(("meshes", _mesh_table(memory, mesh, paths)))
+        memory.tables.append(("meshes", _mesh_table(memory, mesh, names)))
     environments = [light for light in scene.lights if isinstance(light, LightEnvironment)]
     environment = next((light for light in environments if light.enabled), environments[0] if environments else None)
     for light in (light for light in scene.lights if light is environment or not isinstance(light, LightEnvironment)):
-        table = light_table(light)
-        if isinstance(light, LightEnvironment) and light.image is not None:
-            table["path"] = f"<environment {len(memory.environments)}>"
-            memory.environments[table["path"]] = light.image
-        memory.tables.append(("environment" if isinstance(light, LightEnvironment) else "lights", table))
+        _add_light(memory, light, light_table(light))
+    for path in paths:
+        _add_light(memory, path.lights[0], light_path_table(path))
     return memory
+
+
+def _add_light(memory: MemoryEntries, light: Light, table: dict[str, Any]) -> None:
+    """Adds the entry of a light with this table, and the image of an environment."""
+    if isinstance(light, LightEnvironment) and light.image is not None:
+        table["path"] = f"<environment {len(memory.environments)}>"
+        memory.environments[table["path"]] = light.image
+    memory.tables.append((light_kind(light), table))
+
+
+def light_kind(light: Light) -> EntryKind:
+    """Returns the kind of entry that a light is."""
+    return "environment" if isinstance(light, LightEnvironment) else "lights"
+
+
+def _kind_named(scene: Scene, name: str) -> type[Material]:
+    """Returns the class of the scene's materials with a name; `MaterialPbr` if there is none."""
+    found = [one.material for one in scene.splats] + [one.mesh.material for one in scene.meshes]
+    return next((type(one) for one in found if one is not None and one.name == name), MaterialPbr)
 
 
 def _splat_table(memory: MemoryEntries, splat: SplatInstance, paths: dict[int, str]) -> dict[str, Any]:
@@ -185,7 +222,7 @@ def saved_assets(
         FormatError: The object of an actor cannot be stored in a file, or a file cannot be written.
     """
     for entry in entries:
-        if entry.actor is not None and "path" not in entry.table:
+        if entry.is_of_program:
             raise FormatError(target, f"{entry.name} was made by a program and cannot be stored in a file: remove it")
     named = (str(entry.table.get("path", "<")) for entry in entries)
     used = {os.path.realpath(reader.file.parent / path) for path in named if not path.startswith("<")}

@@ -28,7 +28,7 @@ from lumisplat.io.document.entries import (
     explicit_table,
     visible_scene,
 )
-from lumisplat.io.document.saving import entries_of, relative_path, relocated, saved_assets
+from lumisplat.io.document.saving import entries_of, light_kind, relative_path, relocated, saved_assets
 from lumisplat.io.document.tables import NAMED_PLACEMENT_KEYS, light_table, placement_table
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike, parsing
@@ -36,12 +36,14 @@ from lumisplat.io.gltf.scene import holds_one_capture
 from lumisplat.io.load_save import USD, holds_mesh
 from lumisplat.io.scene_toml.cameras import read_scene_cameras
 from lumisplat.io.scene_toml.config_file import changed_settings, read_config
+from lumisplat.io.scene_toml.materials import read_material_paths
 from lumisplat.io.scene_toml.placement import is_placed, scene_up, stand_placed_upright
 from lumisplat.io.scene_toml.scene_file import animation_of, read_document
 from lumisplat.io.scene_toml.toml_table import TomlTable, plain_value, toml_text
 from lumisplat.math.arrays import Doubles, matrix_4x4
 from lumisplat.math.transforms import quaternions_from_matrices, rotation_between, rotation_matrix
 from lumisplat.scene.animation.actors import Animation
+from lumisplat.scene.animation.lights import light_at, with_materials
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
@@ -114,9 +116,14 @@ class SceneDocument:
         memory = entries_of(scene)
         reader = EntryReader(Path("scene.toml"), io.load, memory.up, {}, memory.assets, memory.environments)
         entries = [reader.read(number, kind, table) for number, (kind, table) in enumerate(memory.tables)]
-        for number, actor in enumerate(memory.actors, start=len(entries)):
+        for actor in memory.actors:
             name = {"name": actor.name or "actor"}
-            entries.append(SceneEntry(number, "actors", name, actor=actor, world_from_file=actor.world_from_object))
+            world = actor.world_from_object
+            entries.append(SceneEntry(len(entries), "actors", name, actor=actor, world_from_file=world))
+        for function in memory.lights:
+            light = light_at(function, 0.0)
+            table = light_table(light)
+            entries.append(SceneEntry(len(entries), light_kind(light), table, lights=(light,), moving=function))
         return cls(tuple(entries), memory.top, tuple(memory.problems), _reader=reader)
 
     @staticmethod
@@ -176,17 +183,18 @@ class SceneDocument:
 
     @property
     def animation(self) -> Animation | None:
-        """Actors and cameras with their timing, without hidden entries; None if no object and no camera moves.
+        """Moving content and cameras with their timing, without hidden entries; None if nothing changes with time.
 
         Raises:
             FormatError: ``[animation]`` or a camera is invalid.
         """
         actors = [entry.actor for entry in self.entries if entry.actor is not None and not entry.hidden]
-        still, _ = visible_scene(
-            [entry for entry in self.entries if entry.actor is None], up_vector(self.top["up"]), 0.0
-        )
-        animation = animation_of(TomlTable.of(self.file, dict(self.top)), still, actors)
-        return replace(animation, cameras=self.cameras) if actors or animation.camera_path is not None else None
+        lights = [entry.moving for kind in KINDS for entry in self.entries if entry.kind == kind and entry.moving]
+        fixed = [entry for entry in self.entries if entry.actor is None and entry.moving is None]
+        still, _ = visible_scene(fixed, up_vector(self.top["up"]), 0.0)
+        animation = animation_of(TomlTable.of(self.file, dict(self.top)), still, actors, lights)
+        is_moving = animation.has_moving_content or animation.camera_path is not None
+        return replace(animation, cameras=self.cameras) if is_moving else None
 
     @property
     def cameras(self) -> list[Camera]:
@@ -215,17 +223,16 @@ class SceneDocument:
 
         Raises:
             FormatError: The entry would be invalid; the message names the key.
-            SceneError: There is no entry with this id, or the entry is an actor that a program made and that has no
-                file.
+            SceneError: There is no entry with this id, or the entry is an actor or moving light that a program made.
         """
         entry = self.entry(number)
-        if (
-            entry.kind == "actors"
-            and entry.actor is not None
-            and "path" not in entry.table
-            and keys.keys() != {"hidden"}
-        ):
-            raise SceneError(f"{entry.name} is an actor made by a program: it can be hidden, but not edited")
+        if entry.is_of_program and (keys.keys() != {"hidden"} or entry.moving is not None):
+            hint = "it cannot be edited" if entry.moving is not None else "it can be hidden, but not edited"
+            raise SceneError(f"{entry.name} is {'a light' if entry.moving else 'an actor'} made by a program: {hint}")
+        if entry.moving is not None and "keyframes" not in keys:
+            keyed = next((key for key in keys if any(key in frame for frame in entry.table["keyframes"])), None)
+            if keyed is not None:
+                raise SceneError(f"{keyed} of {entry.name} changes with time: edit its keyframes in the scene file")
         table = {key: value for key, value in (dict(entry.table) | keys).items() if value is not None}
         if "path" not in entry.table and entry.kind == "actors":
             return self._with(replace(entry, table=table))
@@ -421,7 +428,9 @@ class SceneDocument:
     def _at(self, time: float) -> tuple[Scene, list[SceneEntry]]:
         cached = self._scenes.get(time)
         if cached is None:
-            cached = visible_scene(self.entries, up_vector(self.top["up"]), time)
+            scene, owners = visible_scene(self.entries, up_vector(self.top["up"]), time)
+            materials = read_material_paths(TomlTable.of(self.file, dict(self.top)))
+            cached = with_materials(scene, materials, time), owners
             self._scenes.clear()
             self._scenes[time] = cached
         return cached

@@ -15,8 +15,9 @@ from lumisplat.io.scene_toml.toml_table import DEGREES, Values, key_of, plain_va
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.camera_path import CameraPath
+from lumisplat.scene.animation.lights import LightPath, MaterialPath
 from lumisplat.scene.camera import Camera, CameraModel
-from lumisplat.scene.lights import Light, LightEnvironment
+from lumisplat.scene.lights import Light, LightEnvironment, LightRect
 from lumisplat.scene.materials import Material
 
 NAMED_PLACEMENT_KEYS = ("rotation_degrees", "look_at", "front", "upright", "ground")
@@ -36,6 +37,32 @@ def light_table(light: Light) -> Values:
     """Returns the table of a light. The table of an environment does not contain its image."""
     table = {} if isinstance(light, LightEnvironment) else {"type": light.kind}
     return table | _values(light, without=("image",))
+
+
+def light_path_table(path: LightPath) -> Values:
+    """Returns the table of a light that changes with time, with its keyframes. An environment's image is left out."""
+    first = path.lights[0]
+    varying = {one for one in fields(first) if len({repr(getattr(light, one.name)) for light in path.lights}) > 1} - {
+        one for one in fields(first) if one.name == "image"
+    }
+    aimed = {} if path.targets is None else dict.fromkeys(first.aim_fields)
+    keyframes: list[Values] = []
+    for number, (time, light) in enumerate(zip(np.asarray(path.times).tolist(), path.lights, strict=True)):
+        table = {key_of(one): _written(one, getattr(light, one.name)) for one in varying if one.name not in aimed}
+        if path.targets is not None:
+            table["target"] = np.asarray(path.targets)[number].tolist()
+            if isinstance(light, LightRect):
+                table["size"] = [float(np.linalg.norm(edge)) for edge in (light.edge_u, light.edge_v)]
+        keyframes.append({"time": time} | table)
+    return {key: value for key, value in light_table(first).items() if key not in aimed} | {"keyframes": keyframes}
+
+
+def material_path_table(path: MaterialPath, kind: type) -> Values:
+    """Returns the keyframes of a material as a table of ``[materials]``; ``kind`` is the class of the material."""
+    columns = {key: np.asarray(value).tolist() for key, value in path.values.items()}
+    times = np.asarray(path.times).tolist()
+    keyframes = [{"time": time} | {key: column[k] for key, column in columns.items()} for k, time in enumerate(times)]
+    return {"type": _name(MATERIAL_KINDS, kind), "name": path.name, "keyframes": keyframes}
 
 
 def material_table(material: Material) -> Values:

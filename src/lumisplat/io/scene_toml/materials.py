@@ -5,6 +5,13 @@ type = "pbr"                        # or "simple"; "pbr" is the default
 roughness = 0.2
 base_color_texture = "oak.png"      # relative to the scene file
 
+[[materials.varnish.keyframes]]     # the values change with time; missing keys are inherited from the one before
+time = 0.0
+
+[[materials.varnish.keyframes]]
+time = 2.0
+roughness = 0.8
+
 [[meshes]]
 path = "table.obj"
 material = "varnish"                # or { roughness = 0.2 }
@@ -15,13 +22,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lumisplat.errors import SceneError
 from lumisplat.io.images.texture import read_texture
-from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, is_object, schema, suggestion
+from lumisplat.io.scene_toml.keyframes import KEYFRAMES, read_keyframes
+from lumisplat.io.scene_toml.toml_table import COLOR, NUMBER, TEXT, TomlTable, Values, is_object, schema, suggestion
 from lumisplat.math.color import decode_srgb
+from lumisplat.scene.animation.lights import MaterialPath
 from lumisplat.scene.materials import MESH_COLOR, Color, Material, MaterialPbr, MaterialSimple
 
 _log = logging.getLogger("lumisplat")
@@ -71,6 +81,43 @@ def read_materials(document: TomlTable) -> dict[str, MaterialTable]:
     return {name: _read_material(named.table(name), name) for name in named.values}
 
 
+def read_material_paths(document: TomlTable) -> list[MaterialPath]:
+    """Reads how the named materials of a scene file change with time: those with keyframes.
+
+    Raises:
+        FormatError: A keyframe has an unknown key or an invalid value, or times do not increase.
+    """
+    named = document.table("materials")
+    tables = {name: named.table(name) for name in named.values}
+    return [_read_path(table, name) for name, table in tables.items() if "keyframes" in table.values]
+
+
+def _read_path(table: TomlTable, name: str) -> MaterialPath:
+    material = _kind_of(table)
+    changing = {key: kind for key, kind in schema(material).items() if kind in (NUMBER, COLOR)}
+    times, tables = read_keyframes(table, changing, lambda given, last: last | given)
+    frames = table.tables("keyframes")
+    columns: dict[str, list[Any]] = {key: [] for key in changing if any(key in frame.values for frame in frames)}
+    for entry in tables:
+        for key, column in columns.items():
+            if key not in entry.values:
+                raise entry.error(f"lacks {key}, {changing[key].expected}, here or in the material above")
+            try:
+                column.append(getattr(material(**{key: entry.values[key]}), key))
+            except SceneError as error:
+                raise entry.failed(error) from None
+    return MaterialPath(table.values.get("name", name), times, columns)
+
+
+def _kind_of(table: TomlTable) -> type[MaterialPbr] | type[MaterialSimple]:
+    """Returns the class of a material by its ``type``; raises a `FormatError` for an unknown type."""
+    name = table.values.get("type", "pbr")
+    kind = MATERIAL_KINDS.get(name) if isinstance(name, str) else None
+    if kind is None:
+        raise table.wrong("type", " or ".join(MATERIAL_KINDS))
+    return kind
+
+
 def _read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
     """Reads one material table.
 
@@ -78,12 +125,12 @@ def _read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
         table: The table.
         name: Name of the material if the table has no ``name``.
     """
-    type_name = table.values.get("type", "pbr")
-    kind = MATERIAL_KINDS.get(type_name) if isinstance(type_name, str) else None
-    if kind is None:
-        raise table.wrong("type", " or ".join(MATERIAL_KINDS))
-    values = table.take({"type": TEXT, **schema(kind)})
+    kind = _kind_of(table)
+    if name is None and "keyframes" in table.values:
+        raise table.error("keyframes change named materials: write it as [materials.NAME]", "keyframes")
+    values = table.take({"type": TEXT, **schema(kind), "keyframes": KEYFRAMES})
     values.pop("type", None)
+    values.pop("keyframes", None)
     if name is not None:
         values.setdefault("name", name)
     for key in values:

@@ -49,12 +49,12 @@ from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_scene_cameras
 from lumisplat.io.scene_toml.config_file import read_settings
 from lumisplat.io.scene_toml.lights import read_environment, read_light
-from lumisplat.io.scene_toml.materials import read_materials
+from lumisplat.io.scene_toml.materials import read_material_paths, read_materials
 from lumisplat.io.scene_toml.placement import keep_saved_positions, scene_up, stand_placed_upright
 from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
-from lumisplat.scene.lights import Light
+from lumisplat.scene.animation.lights import LightPath, MaterialPath, MovingLight
 from lumisplat.scene.placing import up_vector
 from lumisplat.scene.scene import Scene
 
@@ -129,15 +129,18 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
         if all(document.values.get(key, []) == [] for key in _VISIBLE_HEADINGS):
             raise document.error(f"has no visible content: expected {', '.join(map(_heading, _VISIBLE_HEADINGS))}")
         _read_timing(document)  # unused for one frame, but reports errors of [animation] early
-        scene = _static_scene(document, load)
+        scene, moving = _static_scene(document, load)
+        animation = Animation(scene, lights=moving, materials=read_material_paths(document))
         instances = [instance for actor in read_actors(document, load, scene) for instance in actor.at(0.0)]
-        return with_instances(scene, instances)
+        return with_instances(animation.scene_at(0.0), instances)
 
 
-def _static_scene(document: TomlTable, load: Load) -> Scene:
-    """Builds the scene of a scene file without its actors; the scene may be empty."""
-    lights: list[Light] = [read_light(table) for table in document.tables("lights")]
-    environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
+def _static_scene(document: TomlTable, load: Load) -> tuple[Scene, list[MovingLight]]:
+    """Builds the scene of a scene file without its actors, which may be empty; returns its moving lights apart."""
+    listed = [read_light(table) for table in document.tables("lights")]
+    ending = [read_environment(document.table("environment"))] if "environment" in document.values else []
+    lights, environment = ([one for one in part if not isinstance(one, LightPath)] for part in (listed, ending))
+    moving: list[MovingLight] = [one for one in (*listed, *ending) if isinstance(one, LightPath)]
     up = scene_up(document)
     stand_placed_upright(document, up)
     assets = Assets(load, read_materials(document), up)
@@ -153,7 +156,7 @@ def _static_scene(document: TomlTable, load: Load) -> Scene:
                 meshes=(*scene.meshes, *entry.meshes),
                 lights=(*scene.lights, *entry.lights),
             )
-    return replace(scene, lights=(*lights, *scene.lights, *environment))
+    return replace(scene, lights=(*lights, *scene.lights, *environment)), moving
 
 
 def _heading(key: str) -> str:
@@ -170,40 +173,63 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
     """
     with parsing(path, "a scene file"):
         document = read_document(path)
-        if not document.tables("actors") and read_camera_path(document) is None:
-            raise document.error("has neither [[actors]] nor a camera with keyframes: there is nothing to animate")
-        scene = _static_scene(document, load)
-        animation = animation_of(document, scene, read_actors(document, load, scene))
+        if not is_animated(document):
+            raise document.error(
+                "has neither [[actors]] nor keyframes of a camera, light or material: there is nothing to animate"
+            )
+        scene, lights = _static_scene(document, load)
+        animation = animation_of(document, scene, read_actors(document, load, scene), lights)
         return replace(animation, cameras=tuple(read_scene_cameras(document, load_cameras)))
 
 
-def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> Animation:
-    """Builds the animation of a scene file: actors, timing and the first moving camera, without static cameras.
+def is_animated(document: TomlTable) -> bool:
+    """Returns whether a scene file has actors, or a camera, light, environment or material with keyframes."""
+    named = document.table("materials")
+    tables = [*document.tables("cameras"), *document.tables("lights"), document.table("environment")]
+    tables += [named.table(name) for name in named.values]
+    return bool(document.tables("actors")) or any("keyframes" in table.values for table in tables)
+
+
+def animation_of(
+    document: TomlTable, scene: Scene, actors: Sequence[Actor], lights: Sequence[MovingLight]
+) -> Animation:
+    """Builds the animation of a scene file: what moves, timing and the first moving camera, without static cameras.
 
     Args:
         document: Top-level table of the scene file.
         scene: The static scene.
         actors: The moving objects.
+        lights: The moving lights.
 
     Raises:
         FormatError: ``[animation]`` or a camera is invalid.
     """
     moving = read_camera_path(document)
     fps, lighting = _read_timing(document)
-    count = _frame_count(document.table("animation"), fps, actors, moving)
-    return Animation(scene, tuple(actors), (), fps, count, lighting, moving)
+    materials = read_material_paths(document)
+    paths = [one for one in (moving, *lights, *materials) if isinstance(one, CameraPath | LightPath | MaterialPath)]
+    longest = max((*map(_duration, actors), *(one.duration for one in paths), 0.0))
+    return Animation(
+        scene,
+        tuple(actors),
+        fps=fps,
+        frame_count=_frame_count(document.table("animation"), fps, longest),
+        lighting=lighting,
+        camera_path=moving,
+        lights=lights,
+        materials=materials,
+    )
 
 
-def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: CameraPath | None) -> int:
+def _frame_count(table: TomlTable, fps: float, longest: float) -> int:
     """Returns the number of frames of an animation: ``frames``, or else ``duration`` times ``fps``.
 
-    Without either key, the duration is that of the longest actor or camera path.
+    Without either key, the duration is ``longest``, that of the longest actor or path in seconds.
     """
     given = table.values
     if "frames" in given:
         count = given["frames"]
     else:
-        longest = max((*map(_duration, actors), moving.duration if moving is not None else 0.0))
         count = given.get("duration", longest) * fps
     if count > ANIMATION_FRAMES_MAX:
         raise table.error(

@@ -292,6 +292,10 @@ class TomlTable:
         """
         return cls(values, _Source(path, "", TextureBytes(path)), where)
 
+    def with_values(self, values: dict[str, Any]) -> TomlTable:
+        """Returns a table with other values whose errors name the position of this one."""
+        return TomlTable(values, self._source, self._where)
+
     @property
     def path(self) -> Path:
         """Path of the file that the table belongs to."""

@@ -78,14 +78,14 @@ def write_usd(path: PathLike, subject: Gaussians | Mesh | Scene | Animation, cam
 
 
 def _as_scene(subject: Gaussians | Mesh | Scene | Animation) -> Scene:
-    """Returns the static scene of an animation, or a scene with a single capture or mesh at the origin."""
+    """Returns the scene of an animation at time 0, without actors; a capture or mesh becomes one at the origin."""
     match subject:
         case Gaussians():
             return Scene(splats=(SplatInstance(subject),))
         case Mesh():
             return Scene(meshes=(MeshInstance(subject),))
         case Animation():
-            return subject.scene
+            return subject.scene_at(0.0)
         case Scene():
             return subject
 

@@ -21,6 +21,7 @@ from lumisplat.math.arrays import matrix_4x4
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.correspondence import correspond, interpolated
 from lumisplat.scene.animation.keyframes import Keyframes, check_time
+from lumisplat.scene.animation.lights import MaterialPath, MovingLight, light_at, moving_lights, with_materials
 from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians
 from lumisplat.scene.camera import Camera
@@ -341,9 +342,13 @@ def _items(name: str, items: Iterable[_Item], kind: type[_Item]) -> tuple[_Item,
     return cast("tuple[_Item, ...]", taken)
 
 
+def _materials(items: Iterable[MaterialPath], name: str = "materials") -> tuple[MaterialPath, ...]:
+    return _items(name, items, MaterialPath)
+
+
 @frozen
 class Animation:
-    """A static scene, the actors that move through it, and the times of the frames.
+    """A scene, the actors that move through it, lights and materials that change, and the times of the frames.
 
     Raises:
         SceneError: A field has the wrong type, or a number is out of range.
@@ -361,6 +366,11 @@ class Animation:
     """Settings for relighting the actors and for their shadows on the captures."""
     camera_path: CameraPath | None = None
     """Path of a moving camera, in seconds of the animation; None: the fixed ``cameras`` are used."""
+    lights: tuple[MovingLight, ...] = given(converter=moving_lights, default=())
+    """Lights and environments that change with time, after those of ``scene``: `lumisplat.lights.LightPath` objects, or
+    functions that return the light at a time in seconds."""
+    materials: tuple[MaterialPath, ...] = given(converter=_materials, default=())
+    """Materials of ``scene`` that change with time."""
 
     def __post_init__(self) -> None:
         check_kind("scene", self.scene, Scene, "a Scene")
@@ -383,6 +393,28 @@ class Animation:
     def duration(self) -> float:
         """Time at which the last frame ends, ``frame_count / fps``, seconds."""
         return self.frame_count / self.fps
+
+    @property
+    def has_moving_content(self) -> bool:
+        """Whether anything but the camera may change with time: an actor, a light or a material."""
+        return bool(self.actors or self.lights or self.materials)
+
+    def scene_at(self, time: float) -> Scene:
+        """Returns the scene without actors at a time: its lights, then the moving lights in their order, and materials.
+
+        Captures and meshes that do not change stay the same objects.
+
+        Args:
+            time: Seconds of the animation.
+
+        Raises:
+            SceneError: The time is not finite, a function returns no light, or a material refuses a value.
+        """
+        check_time(time)
+        scene = with_materials(self.scene, self.materials, time)
+        if not self.lights:
+            return scene
+        return replace(scene, lights=(*scene.lights, *(light_at(light, time) for light in self.lights)))
 
     def actors_at(self, time: float) -> list[Instance]:
         """Returns the instances of all actors at a time, in the actors' order; `Actor.at` returns those of one actor.

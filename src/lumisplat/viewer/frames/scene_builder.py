@@ -110,7 +110,9 @@ class SceneBuilder:
         instances = [instance for instance, _ in placed]
         if stage is not None:
             try:
-                return self._avatar_lighter(animation, stage, still, level).light(
+                lighter = self._avatar_lighter(animation, stage, still, level)
+                lighter.update(replace(animation, scene=still).scene_at(time))
+                return lighter.light(
                     instances,
                     casts_shadow=[actor.casts_shadow for _, actor in placed],
                     relit=[actor.relight for _, actor in placed],
@@ -120,6 +122,7 @@ class SceneBuilder:
                 self._report(f"actors keep their captured colours: {error}")
         splats = [instance for instance in instances if isinstance(instance, ls.SplatInstance)]
         meshes = [instance for instance in instances if isinstance(instance, ls.MeshInstance)]
+        still = replace(animation, scene=still).scene_at(time)
         return replace(still, splats=(*still.splats, *splats), meshes=(*still.meshes, *meshes))
 
     def _avatar_lighter(
@@ -141,7 +144,7 @@ class SceneBuilder:
             finest = self._avatar_lighter(animation, stage, stage.scene, 0)
             lights = finest.lights if finest.estimate is not None or finest.sun is not None else None
         lighter = ls.AvatarLighter(
-            still,
+            replace(animation, scene=still).scene_at(0.0),
             lights,
             stage.lighting,
             background=stage.background,

@@ -208,7 +208,7 @@ def _details(entry: ls.io.SceneEntry, boxes: BoxCache, time: float) -> list[str]
     instances = entry.at(time)
     gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
     faces = sum(i.mesh.face_count for i in instances if isinstance(i, ls.MeshInstance))
-    parts = [kind_name(entry)]
+    parts = [kind_name(entry), *(["changes with time"] if entry.moving is not None else [])]
     counts = (gaussians, "Gaussian"), (faces, "face")
     parts += [f"{count:,} {noun}{'' if count == 1 else 's'}" for count, noun in counts if count]
     size = boxes.size(entry, time)

@@ -128,8 +128,10 @@ class VideoPanel:
         still_renderer = self._context.still_renderer
         state, suffix = self._session.state, str(self._format.value)
         animation = state.document.animation
-        if animation is None or (len(keys_of(state.document)) == 1 and not animation.actors):
-            self._session.report("there is no animation to render: add two key views, or an animated actor")
+        if animation is None or (len(keys_of(state.document)) == 1 and not animation.has_moving_content):
+            self._session.report(
+                "there is no animation to render: add two key views, an animated actor, or keyframes of a light"
+            )
             return
         config, height = still_config(state.config), int(np.clip(self._height.value, *HEIGHTS))
         cameras = video_cameras(animation, pose.camera(height, state.exposure))

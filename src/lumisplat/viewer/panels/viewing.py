@@ -162,7 +162,7 @@ def selected_sphere(session: Session) -> tuple[np.ndarray, float] | None:
     entry, time = session.selected_entry, session.options.time
     if entry is None:
         return None
-    if entry.kind == "lights" and (position := getattr(entry.lights[0], "position", None)) is not None:
+    if entry.kind == "lights" and (position := getattr(entry.lights_at(time)[0], "position", None)) is not None:
         return np.array(position, np.float64), 0.2 * session.extent.size
     box, pose = session.boxes.of(entry, time), pose_of(entry, time)
     if box is None or pose is None:
@@ -212,7 +212,7 @@ class Timeline:
     def _show(self) -> None:
         """Updates the range of the time slider after the document's animation has changed; hides it without one."""
         document = self._session.state.document
-        shown = document.top, *(entry.actor for entry in document.entries if not entry.hidden)
+        shown = document.top, *((entry.actor, entry.moving) for entry in document.entries if not entry.hidden)
         if len(shown) == len(self._shown) and all(a is b for a, b in zip(shown, self._shown, strict=True)):
             return
         self._shown, self._animation = shown, document.animation
