@@ -121,7 +121,7 @@ def test_gltf_animations_of_cameras_or_captures_longer_than_4000_s_are_refused(t
     """Cameras and captures are sampled at every frame; animations of meshes may be longer."""
     slide = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
     with pytest.raises(
-        ls.FormatError, match="is animated for 30000 s, expected at most 4000 s for cameras and captures"
+        ls.FormatError, match="is animated for 30000 s, expected at most 4000 s for cameras, lights and captures"
     ):
         written(tmp_path / "a.glb", [{"camera": 0}], [(0, slide)])
     assert written(tmp_path / "b.glb", [{"mesh": 0}], [(0, slide)]).frame_count == 750_001
@@ -209,16 +209,50 @@ def test_skinned_gltf_animations_match_the_rig_of_the_same_file(tmp_path: Path) 
         )
 
 
-def test_ignored_gltf_animations_and_moving_lights_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Only the first animation is played, and lights stay at rest; a file without animations is refused."""
-    light = {"extensions": {"KHR_lights_punctual": {"light": 0}}, "name": "lamp"}
-    gltf = gltf_of([{"mesh": 0, "children": [1]}, light], {"walk": [(0, IDLE)], "run": [(0, IDLE)]})
-    gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
+def test_lights_of_gltf_move_with_their_nodes_and_change_by_pointers(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A spot swings with its parent, a quarter turn about x, and fades; another light stays static."""
+    nodes = [{"children": [1]}, lamp(0, translation=[0.0, 1.0, 0.0]), lamp(1)]
+    turn = [(0.0, 0.0, 0.0, 1.0), (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))]
+    gltf = gltf_of(nodes, {"swing": [(0, ("rotation", [0.0, 1.0], turn, "LINEAR"))]})
+    gltf.json["extensions"] = {
+        "KHR_lights_punctual": {"lights": [{"type": "spot", "intensity": 8.0}, {"type": "point"}]}
+    }
+    (clip,) = gltf.json["animations"]
+    for field, values in (("intensity", [8.0, 2.0]), ("color", [(1.0, 1.0, 1.0), (1.0, 0.0, 0.0)])):
+        keys, stored = gltf.accessor(np.array([0.0, 2.0], np.float32)), gltf.accessor(np.array(values, np.float32))
+        pointer = f"/extensions/KHR_lights_punctual/lights/0/{field}"
+        target = {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": pointer}}}
+        clip["channels"].append({"sampler": len(clip["samplers"]), "target": target})
+        clip["samplers"].append({"input": keys, "output": stored})
     (tmp_path / "a.glb").write_bytes(gltf.glb())
     moving = ls.load_animation(tmp_path / "a.glb")
-    assert len(moving.scene.lights) == 1
+    assert len(moving.scene.lights) == len(moving.lights) == 1 and moving.frame_count == 51
+    half, swung = math.sqrt(0.5), (0.0, 0.0, -1.0)  # the spot shines along -z at rest, then along -y
+    for time, position, direction, intensity in (
+        (0.0, (0.0, 1.0, 0.0), swung, 8.0),
+        (0.5, (0.0, half, -half), (0.0, -half, -half), 6.5),
+        (2.0, swung, (0.0, -1.0, 0.0), 2.0),
+    ):
+        spot: Any = moving.scene_at(time).lights[1]
+        np.testing.assert_allclose(spot.position, position, atol=1e-6)
+        np.testing.assert_allclose(spot.direction, direction, atol=1e-6)
+        assert spot.intensity == pytest.approx(intensity, abs=1e-5)
+    assert spot.color == pytest.approx((1.0, 0.0, 0.0), abs=1e-6) and not caplog.text
+
+
+def lamp(light: int, **keys: Any) -> dict[str, Any]:
+    """Returns a node with a light."""
+    return {"extensions": {"KHR_lights_punctual": {"light": light}}, "name": f"lamp {light}", **keys}
+
+
+def test_ignored_gltf_animations_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Only the first animation is played; a file without animations is refused."""
+    gltf = gltf_of([{"mesh": 0}], {"walk": [(0, IDLE)], "run": [(0, IDLE)]})
+    (tmp_path / "a.glb").write_bytes(gltf.glb())
+    ls.load_animation(tmp_path / "a.glb")
     assert "its first animation is played, 'walk', not 'run'" in caplog.text
-    assert "animated lights keep their rest transform (nodes[1] 'lamp')" in caplog.text
     (tmp_path / "still.glb").write_bytes(gltf_of([{"mesh": 0}], {}).glb())
     with pytest.raises(ls.FormatError, match="has no animation: render a still with lumisplat render"):
         ls.load_animation(tmp_path / "still.glb")

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.lights import LightPath
+from lumisplat.math.transforms import rotation_matrix
+from lumisplat.scene.lights import move_light
 from lumisplat.scene.placing import y_up_from
 from lumisplat.scene.primitives import box
 from support.files.rig_files import BEND, TubeRig
@@ -236,6 +240,40 @@ def test_reversed_or_huge_usd_time_ranges_are_refused(tmp_path: Path) -> None:
         path = write_usda(tmp_path / "a.usda", 'def Cube "c" {\n}', f'upAxis = "Y"\n{times}')
         with pytest.raises(ls.FormatError, match="expected at most 1,000,000 frames between them"):
             ls.load_animation(path)
+
+
+@pytest.mark.parametrize("up", ["y-down", "z-up"])
+def test_usd_round_trip_keeps_lights_that_change_with_time(tmp_path: Path, up: str) -> None:
+    """A spot that moves, turns and fades, a rectangle that grows, and an environment that turns match at each frame."""
+    usd_core()
+    spot = ls.LightSpot((0, 3, 0), (0, -1, 0), intensity=5.0, name="spot")
+    rect = ls.LightRect((0, 0, 0), (1, 0, 0), (0, 1, 0), name="rect")
+    sky = ls.LightEnvironment(np.ones((2, 4, 3), np.float32), name="sky")
+    lights = [
+        LightPath([spot, replace(spot, position=(2, 3, 0), direction=(1, -1, 0), intensity=1.0, color=(1, 0, 0))]),
+        LightPath([rect, replace(rect, edge_u=(3, 0, 0))], [0.25, 0.75]),
+        LightPath([sky, replace(sky, rotation_wxyz=(0.5**0.5, 0, 0.5**0.5, 0), intensity=3.0)]),
+    ]
+    scene = ls.Scene(meshes=[box(0.5)], lights=[ls.LightPoint((1, 1, 1), name="still")], up=up)
+    saved = ls.Animation(scene, fps=4.0, frame_count=5, lights=lights)
+    ls.save(tmp_path / "lights.usda", saved)
+    loaded = ls.load_animation(tmp_path / "lights.usda")
+    rotation = y_up_from(saved.scene.up_direction)
+    assert [light.name for light in loaded.scene.lights] == ["still"] and loaded.frame_count == 5
+    turned = np.eye(4)
+    turned[:3, :3] = rotation
+    for time in saved.times:
+        at: tuple[Any, ...] = loaded.scene_at(time).lights[1:]
+        for before, after in zip(saved.scene_at(time).lights[1:], at, strict=True):
+            wanted: Any = move_light(before, turned)
+            assert after.intensity == pytest.approx(wanted.intensity, rel=1e-6) and after.name == wanted.name
+            np.testing.assert_allclose(after.color, wanted.color, atol=1e-6)
+            for name in ("position", "direction", "edge_u", "edge_v"):
+                if hasattr(wanted, name):
+                    np.testing.assert_allclose(getattr(after, name), getattr(wanted, name), atol=1e-6)
+        turn: Any = lights[2].at(time)
+        axes = rotation_matrix(at[-1].rotation_wxyz), rotation @ rotation_matrix(turn.rotation_wxyz)
+        np.testing.assert_allclose(*axes, atol=1e-6)
 
 
 def test_lighting_settings_of_actors_are_logged_as_lost_in_usd(

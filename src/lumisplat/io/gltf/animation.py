@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,7 @@ from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.keyframes import Keyframes
+from lumisplat.scene.animation.lights import LightPath
 from lumisplat.scene.animation.rig import (
     Channel,
     Clip,
@@ -49,6 +51,7 @@ from lumisplat.scene.animation.rig import (
     Track,
     join_triangles,
 )
+from lumisplat.scene.lights import AimedLight, Light, PlacedLight
 from lumisplat.scene.scene import Scene, SplatInstance, check_similarity
 
 if TYPE_CHECKING:
@@ -61,30 +64,75 @@ ANIMATION_SAMPLES_MAX = 400_000
 """Largest number of samples of a glTF camera or capture: more than an hour of animation. All samples are computed when
 the file is read; this many take a minute on one core, and 500 MB."""
 
+_LIGHT_POINTER = re.compile(r"/extensions/KHR_lights_punctual/lights/(\d+)/(intensity|color)")
+"""Properties of lights that are read from KHR_animation_pointer."""
+
 _KINDS = {Channel.TRANSLATION: "VEC3", Channel.ROTATION: "VEC4", Channel.SCALE: "VEC3", Channel.WEIGHTS: "SCALAR"}
 
 
-def _read_clips(file: GltfFile) -> tuple[Clip, ...]:
+class _LightTrack(NamedTuple):
+    """Animation of the intensity or colour of a light, an index into the lights of the file."""
+
+    light: int
+    field: str
+    track: Track
+
+
+def _light_tracks(file: GltfFile, index: int) -> list[_LightTrack]:
+    """Reads the channels of an animation that change intensities and colours of lights (KHR_animation_pointer)."""
+    animation: pygltflib.Animation = file.item("animations", index, "animations")
+    found: list[_LightTrack] = []
+    for k, channel in enumerate(animation.channels or []):
+        pointer = _light_pointer(channel)
+        if pointer is not None:
+            light, field = int(pointer[1]), pointer[2]
+            where = f"animations[{index}].channels[{k}]"
+            sampler = _sampler(file, animation, channel.sampler, where)
+            width = 3 if field == "color" else 1
+            mode, times, keys = _read_keys(file, sampler, "VEC3" if width == 3 else "SCALAR", width, where)
+            tangents = keys[:, ::2] if mode is Interpolation.CUBICSPLINE else None
+            track = Track(-1, Channel.WEIGHTS, mode, times, keys[:, keys.shape[1] // 2], tangents)
+            found.append(_LightTrack(light, field, track))
+    return found
+
+
+def _light_pointer(channel: pygltflib.AnimationChannel) -> re.Match[str] | None:
+    """Returns the light and property that a channel animates by KHR_animation_pointer; None for other channels."""
+    extensions: dict[str, Any] = getattr(channel.target, "extensions", None) or {}
+    pointer: object = extensions.get("KHR_animation_pointer", {}).get("pointer")
+    return _LIGHT_POINTER.fullmatch(pointer) if isinstance(pointer, str) else None
+
+
+def _read_clips(file: GltfFile, *, lights: bool = False) -> tuple[Clip, ...]:
     """Reads all animations of a file as clips with unique names; an animation without a name gets its index as name.
 
     Channels without a target node are skipped. Channels that animate extension properties are skipped and counted in a
-    log line.
+    log line, but with ``lights`` not those of lights, which the caller reads.
     """
     clips: dict[str, Clip] = {}
     for index, animation in enumerate(file.model.animations or []):
         name = animation.name or str(index)
         while name in clips:
             name += f"_{index}"
-        clips[name] = Clip(name, _tracks(file, animation, f"animations[{index}]"))
+        clips[name] = Clip(name, _tracks(file, animation, f"animations[{index}]", lights=lights))
     return tuple(clips.values())
 
 
-def _tracks(file: GltfFile, animation: pygltflib.Animation, where: str) -> tuple[Track, ...]:
-    """Reads the channels of an animation as tracks; ``where`` names the animation in messages."""
+def _tracks(file: GltfFile, animation: pygltflib.Animation, where: str, *, lights: bool) -> tuple[Track, ...]:
+    """Reads the channels of nodes of an animation as tracks.
+
+    Args:
+        file: The file.
+        animation: The animation.
+        where: Name of the animation in messages.
+        lights: Whether the caller reads channels of lights, so that they do not count as left out.
+    """
     tracks: list[Track] = []
     unread = 0
     for k, channel in enumerate(animation.channels or []):
         target = channel.target
+        if lights and _light_pointer(channel) is not None:
+            continue
         if target is None or target.path not in {channel.value for channel in Channel}:
             unread += 1
         elif target.node is not None:
@@ -114,28 +162,45 @@ def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, n
             file.path,
             f"{where} animates {node_label(file, node)}, which has a matrix: expected translation, rotation and scale",
         )
+    width = _target_count(file, item, where) if kind is Channel.WEIGHTS else 4 if kind is Channel.ROTATION else 3
+    mode, times, keys = _read_keys(file, sampler, _KINDS[kind], width, where)
+    if kind is Channel.ROTATION:
+        keys = np.roll(keys, 1, axis=2)  # glTF quaternions are x, y, z, w
+    values = keys[:, keys.shape[1] // 2]
+    if kind is Channel.ROTATION:
+        values = _unit(file, values, where)
+    return Track(node, kind, mode, times, values, keys[:, ::2] if mode is Interpolation.CUBICSPLINE else None)
+
+
+def _read_keys(
+    file: GltfFile, sampler: pygltflib.AnimationSampler, kind: str, width: int, where: str
+) -> tuple[Interpolation, Doubles, Doubles]:
+    """Reads a sampler: its interpolation, K times in seconds, and values of shape (K, 1, ``width``).
+
+    A cubic spline has three rows for each key: incoming tangent, value and outgoing tangent.
+
+    Args:
+        file: The file.
+        sampler: The sampler.
+        kind: glTF type of the output accessor.
+        width: Numbers of a value.
+        where: Name of the channel in messages.
+    """
     if sampler.interpolation not in (None, *(mode.value for mode in Interpolation)):
         modes = ", ".join(mode.value for mode in Interpolation)
         raise FormatError(file.path, f"{where} has interpolation {sampler.interpolation!r}, expected one of {modes}")
     mode = Interpolation(sampler.interpolation or "LINEAR")
     times = file.floats(sampler.input, "SCALAR", f"{where} input")[:, 0].astype(np.float64)
     _check_times(file, times, where)
-    stored = file.floats(sampler.output, _KINDS[kind], f"{where} output").astype(np.float64)
+    stored = file.floats(sampler.output, kind, f"{where} output").astype(np.float64)
     invalid = stored.size - np.count_nonzero(np.isfinite(stored))
     if invalid:
         raise FormatError(file.path, f"{where}: {invalid:,} of {stored.size:,} key values are not finite")
-    width = _target_count(file, item, where) if kind is Channel.WEIGHTS else stored.shape[1]
     rows = 3 if mode is Interpolation.CUBICSPLINE else 1
     if stored.size != rows * width * times.size:
         found = f"{len(stored):,} values for {times.size:,} keys"
         raise FormatError(file.path, f"{where} has {found}, expected {rows * width * times.size // stored.shape[1]:,}")
-    keys = stored.reshape(times.size, rows, width)
-    if kind is Channel.ROTATION:
-        keys = np.roll(keys, 1, axis=2)  # glTF quaternions are x, y, z, w
-    values = keys[:, rows // 2]
-    if kind is Channel.ROTATION:
-        values = _unit(file, values, where)
-    return Track(node, kind, mode, times, values, keys[:, ::2] if rows == 3 else None)
+    return mode, times, stored.reshape(times.size, rows, width)
 
 
 def _sampler(
@@ -366,7 +431,8 @@ def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation
     """Reads the first animation of a file and its static content, at 25 frames per second from 0 to the last key.
 
     All meshes that nodes, skins or morph targets move form one actor. Each moving capture is an actor. The first moving
-    camera becomes the camera path. Lights keep their rest transform, with a log line.
+    camera becomes the camera path. Lights move with their nodes, and their intensities and colours change by
+    KHR_animation_pointer.
 
     Args:
         path: A ``.glb`` or ``.gltf`` file.
@@ -380,21 +446,20 @@ def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation
         file = GltfFile(path)
         check_extensions(file)
         warn_unread(file)
-        clips = _read_clips(file)
+        clips = _read_clips(file, lights=True)
         if not clips:
             raise FormatError(
                 path, "has no animation: render a still with lumisplat render, or animate it in a scene.toml"
             )
-        clip = clips[0]
+        clip, light_tracks = clips[0], _light_tracks(file, 0)
         if len(clips) > 1:
             others = ", ".join(repr(one.name) for one in clips[1:4])
             _log.warning("%s: only its first animation is played, %r, not %s", os.fspath(path), clip.name, others)
-        frames = round(clip.duration * _FPS) + 1
+        duration = max(clip.duration, *(float(one.track.times[-1]) for one in light_tracks), 0.0)
+        frames = round(duration * _FPS) + 1
         if frames > ANIMATION_FRAMES_MAX:
-            raise FormatError(
-                path, f"is animated for {clip.duration:g} s, expected at most {ANIMATION_FRAMES_MAX:,} frames"
-            )
-        return _AnimationReader(file, clip, drop_invalid).animation(frames)
+            raise FormatError(path, f"is animated for {duration:g} s, expected at most {ANIMATION_FRAMES_MAX:,} frames")
+        return _AnimationReader(file, clip, light_tracks, duration, drop_invalid).animation(frames)
 
 
 class _AnimationReader:
@@ -403,11 +468,16 @@ class _AnimationReader:
     Args:
         file: The open file.
         clip: The animation.
+        light_tracks: Tracks of lights.
+        duration: Time of the last key, seconds.
         drop_invalid: Drop invalid Gaussians, as in `lumisplat.io.load`.
     """
 
-    def __init__(self, file: GltfFile, clip: Clip, drop_invalid: bool) -> None:
+    def __init__(
+        self, file: GltfFile, clip: Clip, light_tracks: list[_LightTrack], duration: float, drop_invalid: bool
+    ) -> None:
         self._file, self._clip, self._drop_invalid = file, clip, drop_invalid
+        self._light_tracks, self._duration = light_tracks, duration
         self._skeleton: Skeleton = _read_skeleton(file)
         self._nodes = list(scene_nodes(file))
         self._moved = _moved_nodes(file, clip)
@@ -421,16 +491,38 @@ class _AnimationReader:
         sieve = TriangleSieve(file.path)
         scene = scene_of_nodes(file, still, rest, sieve, drop_invalid=self._drop_invalid)
         sieve.report(any_usable=True)
-        moving_lights = [index for index in deformed if LIGHTS in (file.model.nodes[index].extensions or {})]
-        if moving_lights:
-            named = ", ".join(node_label(file, index) for index in moving_lights[:3])
-            _log.warning("%s: animated lights keep their rest transform (%s)", os.fspath(file.path), named)
+        changed = {one.light for one in self._light_tracks}
+        on_nodes = {index: (file.model.nodes[index].extensions or {}).get(LIGHTS) for index in self._nodes}
+        shining = {index: which.get("light") for index, which in on_nodes.items() if which}
+        moving = [index for index, light in shining.items() if index in moved or light in changed]
+        lights = read_lights(file, [index for index in shining if index not in moving], rest)
         rig = _rig_of(file, (self._clip,), deformed)
         actors = [Actor(rig, loop=False)] if rig is not None else []
         actors += self._captures(deformed)
-        scene = replace(scene, lights=read_lights(file, self._nodes, rest), up="y-up")
+        scene = replace(scene, lights=lights, up="y-up")
         cameras = cameras_of(file, [index for index in self._nodes if file.model.nodes[index].camera is not None], rest)
-        return Animation(scene, actors, cameras, fps=_FPS, frame_count=frames, camera_path=self._camera_path())
+        paths = [path for index in moving for path in self._light_paths(index, shining[index], rest)]
+        path = self._camera_path()
+        return Animation(scene, actors, cameras, fps=_FPS, frame_count=frames, camera_path=path, lights=paths)
+
+    def _light_paths(self, index: int, light: int, rest: list[Matrix]) -> Iterator[LightPath]:
+        """Yields the light of a node that moves, or whose light changes; nothing for a node that is hidden at rest."""
+        tracks = [one for one in self._light_tracks if one.light == light]
+        for first in read_lights(self._file, [index], rest):
+            times, keys = self._times(), list[Light]()
+            for time in times.tolist():
+                changes: dict[str, Any] = {}
+                for one in tracks:
+                    value = np.maximum(one.track.at(time), 0.0)  # splines may overshoot
+                    changes[one.field] = value if one.field == "color" else float(value[0])
+                if index in self._moved:
+                    world = self._skeleton.world_from_node(self._clip, time)[index]
+                    is_hidden = not world[:3, :3].any()
+                    changes |= {"position": world[:3, 3]} if isinstance(first, PlacedLight) else {}
+                    changes |= {"direction": -world[:3, 2]} if isinstance(first, AimedLight) and not is_hidden else {}
+                    changes |= {"intensity": 0.0} if is_hidden else {}
+                keys.append(replace(first, **changes))
+            yield LightPath(keys, times)
 
     def _is_deformed(self, index: int) -> bool:
         """Returns whether the animation changes the shape of a node's mesh, by morph weights or the skin's joints."""
@@ -443,23 +535,25 @@ class _AnimationReader:
         )
 
     def _times(self) -> Doubles:
-        """Returns the times in seconds at which captures and cameras are sampled: evenly spaced, and at keys.
+        """Returns the times in seconds at which captures, lights and cameras are sampled: evenly spaced, and at keys.
 
         A STEP key gets further samples just before and after it, see `_STEP_OFFSETS`.
         """
-        count = round(self._clip.duration * _FPS * _SAMPLES_PER_FRAME)
+        count = round(self._duration * _FPS * _SAMPLES_PER_FRAME)
         if count > ANIMATION_SAMPLES_MAX:
             seconds = ANIMATION_SAMPLES_MAX / (_FPS * _SAMPLES_PER_FRAME)
             raise FormatError(
                 self._file.path,
-                f"is animated for {self._clip.duration:g} s, expected at most {seconds:g} s for cameras and captures",
+                f"is animated for {self._duration:g} s, "
+                f"expected at most {seconds:g} s for cameras, lights and captures",
             )
         even = np.arange(count + 1) / (_FPS * _SAMPLES_PER_FRAME)
-        keys = [track.times for track in self._clip.tracks]
-        stepped = [track.times for track in self._clip.tracks if track.interpolation is Interpolation.STEP]
+        tracks = (*self._clip.tracks, *(one.track for one in self._light_tracks))
+        keys = [track.times for track in tracks]
+        stepped = [track.times for track in tracks if track.interpolation is Interpolation.STEP]
         steps = [times + around for times in stepped for around in _STEP_OFFSETS]
         times = np.unique(np.concatenate([even, *keys, *steps]))
-        return times[(times >= 0.0) & (times <= max(even[-1], self._clip.duration))]
+        return times[(times >= 0.0) & (times <= max(even[-1], self._duration))]
 
     def _captures(self, nodes: list[int]) -> Iterator[Actor]:
         """Yields an actor for each capture of the animated nodes ``nodes``."""

@@ -15,13 +15,14 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.cameras import cameras_of
 from lumisplat.io.usd.library import check_loaded, pxr, reading_usd
 from lumisplat.io.usd.process import Remote, read_in_child
-from lumisplat.io.usd.scene import StageReader, shape_time_codes
+from lumisplat.io.usd.scene import StageReader, light_time_codes, shape_time_codes, transform_time_codes
 from lumisplat.io.usd.stage import PlacedPrim, UsdFile, open_usd, prim_name
 from lumisplat.math.arrays import Doubles, matrix_4x4
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation, Deforming, Instance
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.keyframes import Keyframes
+from lumisplat.scene.animation.lights import LightPath
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, check_similarity
 
@@ -29,8 +30,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, check_similarity
 def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
     """Reads a stage with its time samples, from the stage's first to its last time code, at the stage's frame rate.
 
-    Time samples of transforms become keyframes. Deforming prims are read again at each rendered time. A deforming prim
-    that a point instancer copies keeps its shape of the first time code, and a log line names the prim.
+    Time samples of transforms and lights become keyframes. Deforming prims are read again at each rendered time. A
+    deforming prim that a point instancer copies keeps its shape of the first time code, and a log line names the prim.
 
     Args:
         path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
@@ -64,14 +65,16 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
         raise FormatError(
             file.path, f"has timeCodesPerSecond {rate:g} and framesPerSecond {fps:g}, expected both above 0"
         )
-    codes = {key: _transform_time_codes(stage.GetPrimAtPath(key)) for key in reader.moving}
-    moving_cameras = [one for one in _cameras(file) if _transform_time_codes(one).size]
+    codes = {key: transform_time_codes(stage.GetPrimAtPath(key)) for key in reader.moving}
+    moving_cameras = [one for one in _cameras(file) if transform_time_codes(one).size]
     shapes = [
         codes_of(one.prim)
         for one, _ in reader.deforming.values()
-        for codes_of in (shape_time_codes, _transform_time_codes)
+        for codes_of in (shape_time_codes, transform_time_codes)
     ]
-    first, last = _range(file, [*codes.values(), *shapes, *map(_transform_time_codes, moving_cameras)])
+    light_codes = [light_time_codes(placed.prim) for placed, _ in reader.moving_lights]
+    moving_codes = map(transform_time_codes, moving_cameras)
+    first, last = _range(file, [*codes.values(), *shapes, *light_codes, *moving_codes])
     actors = [
         actor
         for key, instances in reader.moving.items()
@@ -95,7 +98,11 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
         raise FormatError(file.path, f"has {time_range}, expected at most {ANIMATION_FRAMES_MAX:,} frames between them")
     cameras = cameras_of(file)
     path = _camera_path(file, moving_cameras, first, rate)
-    return Animation(scene, actors, cameras, fps=fps, frame_count=round(frames) + 1, camera_path=path)
+    lights = [
+        LightPath([reader.light_at(placed, light, float(code)) for code in codes], (codes - first) / rate)
+        for (placed, light), codes in zip(reader.moving_lights, light_codes, strict=True)
+    ]
+    return Animation(scene, actors, cameras, fps=fps, frame_count=round(frames) + 1, camera_path=path, lights=lights)
 
 
 def _instances_at(
@@ -118,19 +125,6 @@ def _instances_at(
 
 def _cameras(file: UsdFile) -> Iterator[Any]:
     return (prim for prim in file.stage.Traverse() if str(prim.GetTypeName()) == "Camera")
-
-
-def _transform_time_codes(prim: Any) -> Doubles:
-    """Returns the sorted time codes at which the transform of a prim or of an ancestor has samples."""
-    xformable, found = pxr().UsdGeom.Xformable, set[float]()
-    while prim and not prim.IsPseudoRoot():
-        xform = xformable(prim)
-        if xform:
-            found.update(xform.GetTimeSamples())
-            if xform.GetResetXformStack():
-                break
-        prim = prim.GetParent()
-    return np.array(sorted(found))
 
 
 def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
@@ -204,7 +198,7 @@ def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) ->
     """
     if not moving:
         return None
-    px, codes, at_start = pxr(), _transform_time_codes(moving[0]), file.time
+    px, codes, at_start = pxr(), transform_time_codes(moving[0]), file.time
     keys: list[Camera] = []
     for code in codes:
         file.time = px.Usd.TimeCode(float(code))

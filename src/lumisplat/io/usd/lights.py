@@ -312,8 +312,8 @@ def _environment_image(file: UsdFile, asset: Any, label: str) -> FloatArray:
             raise FormatError(file.path, str(error).replace(os.fspath(copy), name)) from None
 
 
-def write_light(writer: StageWriter, light: Light) -> None:
-    """Writes a light with its world transform."""
+def write_light(writer: StageWriter, light: Light) -> Any:
+    """Writes a light with its world transform. Returns its prim."""
     match light:
         case LightDirectional():
             prim, intensity = _write_distant(writer, light)
@@ -343,6 +343,7 @@ def write_light(writer: StageWriter, light: Light) -> None:
     if not getattr(light, "visible", True):
         writer.set_custom_data(prim, visible=False)
         writer.remarks.add("lights that cameras do not see (visible = false)", light.name)
+    return prim
 
 
 def _define(writer: StageWriter, light: Light, kind: str) -> Any:

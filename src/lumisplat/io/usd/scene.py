@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from lumisplat.io.usd.particles import is_field, read_particles
 from lumisplat.io.usd.process import read_in_child
 from lumisplat.io.usd.stage import PlacedPrim, UsdFile, custom_data_of, open_usd, placed_prims
 from lumisplat.math.arrays import Doubles
+from lumisplat.scene.checks import with_checked
 from lumisplat.scene.editing.transform import under_affine
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
@@ -87,6 +88,25 @@ def _settings(prim: Any) -> dict[str, Any]:
     return {name: custom_data[name] for name in ("sh_degree", "shadow_catcher") if name in custom_data}
 
 
+def transform_time_codes(prim: Any) -> Doubles:
+    """Returns the sorted time codes at which the transform of a prim or of an ancestor has samples."""
+    xformable, found = pxr().UsdGeom.Xformable, set[float]()
+    while prim and not prim.IsPseudoRoot():
+        xform = xformable(prim)
+        if xform:
+            found.update(xform.GetTimeSamples())
+            if xform.GetResetXformStack():
+                break
+        prim = prim.GetParent()
+    return np.array(sorted(found))
+
+
+def light_time_codes(prim: Any) -> Doubles:
+    """Returns the sorted time codes at which an attribute, the visibility or the transform of a light has samples."""
+    own = {code for attribute in prim.GetAttributes() for code in attribute.GetTimeSamples()}
+    return np.array(sorted(own | set(transform_time_codes(prim).tolist())))
+
+
 def shape_time_codes(prim: Any) -> Doubles:
     """Returns the sorted time codes at which the shape or appearance of a prim has samples."""
     shapes = (one for one in prim.GetAuthoredAttributes() if not one.GetName().startswith(_NON_SHAPE_ATTRIBUTES))
@@ -118,6 +138,8 @@ class StageReader:
     )
     """Prims whose shape has time samples, each with its instances, by prim path. Instances made by a point instancer
     are not included and keep the shape of the first time code."""
+    moving_lights: list[tuple[PlacedPrim, Light]] = field(default_factory=list["tuple[PlacedPrim, Light]"])
+    """Lights with time samples, with `for_animation` alone; `lights` then lacks them."""
     has_cameras: bool = False
     _captures: dict[str, Gaussians | None] = field(default_factory=dict[str, "Gaussians | None"])
     _materials: UsdMaterials = field(init=False)
@@ -145,12 +167,13 @@ class StageReader:
                 self._collect(placed, self.meshes, meshes.instances(placed))
             elif prim.IsA(pxr().UsdGeom.Gprim):
                 file.remarks.add(f"prims of type {kind}", str(prim.GetPath()))
-        if not (self.splats or self.meshes or self.lights or self.has_cameras or sieve.problems):
+        is_lit = bool(self.lights or self.moving_lights)
+        if not (self.splats or self.meshes or is_lit or self.has_cameras or sieve.problems):
             messages = "; ".join(file.remarks.names)
             raise FormatError(
                 file.path, "contains no particle field, mesh, light or camera" + (f" ({messages})" if messages else "")
             )
-        sieve.report(any_usable=bool(self.splats or self.meshes or self.lights or self.has_cameras))
+        sieve.report(any_usable=bool(self.splats or self.meshes or is_lit or self.has_cameras))
         return self
 
     def scene(self) -> Scene:
@@ -181,6 +204,28 @@ class StageReader:
             return [*UsdMeshes(file, self._materials, TriangleSieve(file.path)).instances(now)]
         finally:
             file.time = before
+
+    def light_at(self, placed: PlacedPrim, first: Light, code: float) -> Light:
+        """Returns a light of `moving_lights` at a time code; one that is hidden then has an intensity of 0.
+
+        Args:
+            placed: The light's prim.
+            first: The light at the first time code.
+            code: Time code.
+        """
+        file, px = self.file, pxr()
+        before, file.time = file.time, px.Usd.TimeCode(code)
+        try:
+            visible = px.UsdGeom.Imageable(placed.prim).ComputeVisibility(file.time) != px.UsdGeom.Tokens.invisible
+            now = placed._replace(world_from_prim=_world_transform(file, placed.prim))
+            light = None if now.is_degenerate else read_light(file, now)
+        finally:
+            file.time = before
+        if light is None or type(light) is not type(first):
+            return replace(first, intensity=0.0)
+        if isinstance(light, LightEnvironment) and isinstance(first, LightEnvironment):
+            light = with_checked(light, image=first.image)  # one object at all times
+        return replace(light, enabled=first.enabled, intensity=light.intensity if visible else 0.0)
 
     def _collect(self, placed: PlacedPrim, collection: list[Any], instances: list[Any]) -> None:
         """Adds instances of a prim to ``collection``, and to `moving` or `deforming` if the prim has time samples.
@@ -226,8 +271,12 @@ class StageReader:
         light = None if placed.is_degenerate else read_light(self.file, placed)
         if light is None:
             return
-        has_environment = any(isinstance(one, LightEnvironment) and one.enabled for one in self.lights)
+        others = (*self.lights, *(one for _, one in self.moving_lights))
+        has_environment = any(isinstance(one, LightEnvironment) and one.enabled for one in others)
         if isinstance(light, LightEnvironment) and light.enabled and has_environment:
             self.file.remarks.add("all dome lights but the first", str(placed.prim.GetPath()))
             return
-        self.lights.append(light)
+        if self.for_animation and not placed.instanced and light_time_codes(placed.prim).size > 1:
+            self.moving_lights.append((placed, light))
+        else:
+            self.lights.append(light)

@@ -12,7 +12,7 @@ import tempfile
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,10 @@ from lumisplat.io.usd.materials import MaterialWriter
 from lumisplat.io.usd.particles import define_field, particle_values
 from lumisplat.io.usd.stage import StageWriter, folder_of, matrix
 from lumisplat.scene.animation.actors import Actor, Animation
+from lumisplat.scene.animation.lights import MovingLight, light_at
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -85,7 +87,7 @@ def _as_scene(subject: Gaussians | Mesh | Scene | Animation) -> Scene:
         case Mesh():
             return Scene(meshes=(MeshInstance(subject),))
         case Animation():
-            return subject.scene_at(0.0)
+            return replace(subject, lights=()).scene_at(0.0)
         case Scene():
             return subject
 
@@ -224,6 +226,8 @@ def _write_motion(writer: StageWriter, assets: AssetWriter, animation: Animation
     stage.SetFramesPerSecond(animation.fps)
     stage.SetStartTimeCode(0.0)
     stage.SetEndTimeCode(animation.frame_count - 1.0)
+    for light in animation.lights:
+        _write_moving_light(writer, light, animation)
     for actor in animation.actors:
         _write_actor(writer, assets, actor, animation)
     if animation.camera_path is not None:
@@ -234,6 +238,19 @@ def _write_motion(writer: StageWriter, assets: AssetWriter, animation: Animation
             samples.add(frame, _TRANSFORM_OP, matrix(camera_transform(camera)), camera.camera_from_world.tobytes())
             for name, value in camera_values(camera).items():
                 samples.add(frame, name, value, value)
+
+
+def _write_moving_light(writer: StageWriter, moving: MovingLight, animation: Animation) -> None:
+    """Writes a light with time samples of its transform and of all its attributes that change."""
+    prim = write_light(writer, light_at(moving, 0.0))
+    samples, scratch = _Samples(prim), StageWriter(writer.path, animation.scene.up_direction)
+    for frame, time in enumerate(animation.times.tolist()):
+        light = light_at(moving, time)
+        if isinstance(light, LightEnvironment):
+            light = replace(light, image=None)  # the image is written once
+        for attribute in write_light(scratch, light).GetAuthoredAttributes():
+            if attribute.GetName() != "xformOpOrder":
+                samples.add(frame, attribute.GetName(), attribute.Get(), attribute.Get())
 
 
 @dataclass(slots=True)
