@@ -27,6 +27,7 @@ from lumisplat.io.scene_toml.materials import MATERIAL_KINDS
 from lumisplat.io.scene_toml.placement import UP
 from lumisplat.io.scene_toml.scene_file import ANIMATION_KEYS
 from lumisplat.io.scene_toml.toml_table import DEGREES, Kind, key_of, schema
+from lumisplat.scene.animation.daylight import Daylight
 from lumisplat.scene.lights import LIGHT_KINDS, LightEnvironment
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -246,6 +247,8 @@ def scene_file_page() -> str:
         aims = {key: docstrings_of(kind)[key] for key in kind.aim_keys}
         lines += [f'## `[[lights]]` with `type = "{name}"`', "", _first(kind), "", *_fields(kind, aims)]
     lines += ["## `[environment]`", "", _first(LightEnvironment), "", *_fields(LightEnvironment, {})]
+    lines += ["## `[sun]`", "", _first(Daylight), ""]
+    lines += ["Instead of `[environment]`. The key `hidden` leaves sun and sky out.", "", *_fields(Daylight, {})]
     lines += [
         "## `[[lights.keyframes]]`, `[[environment.keyframes]]` and `[[materials.NAME.keyframes]]`",
         "",

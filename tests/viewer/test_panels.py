@@ -42,6 +42,7 @@ from lumisplat.viewer.panels.inspector import (
     crop_ranges,
     crop_table,
     cropped,
+    daylight_fields,
     direction_of_angles,
     direction_of_hour,
     light_fields,
@@ -55,6 +56,7 @@ from lumisplat.viewer.panels.viewing import selected_sphere
 from lumisplat.viewer.scene_extent import BoxCache, Extent, pose_of, world_corners
 from lumisplat.viewer.session import Options, Session, State, limit_undo_memory
 from support.files.hdr_files import write_hdr
+from support.kinds import present
 from support.scenes.raster_scenes import random_gaussians
 
 EXTENT = Extent((0.0, 0.0, 0.0), 2.0)
@@ -684,3 +686,17 @@ def test_commands_of_the_outliner_select_hide_and_lock_scene_entries() -> None:
     outliner._channel._take(("lock 0 5", client))
     assert not session.locked and session.selected == 0 and viewer._gizmo._handle is not None
     viewer.close()
+
+
+def test_clock_of_the_inspector_moves_sun_and_sky() -> None:
+    """Date and time of day change the time in its time zone; other fields stay."""
+    document = ls.io.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
+    document, number = document.added("sun", {"latitude": 48.1, "longitude": 11.6, "time": "2026-06-21T18:30+02:00"})
+    shown = {field.name: value for field, value in daylight_fields(present(document.entry(number).daylight))}
+    assert (shown["date"], shown["time_of_day"], shown["latitude"]) == ("2026-06-21", 18.5, 48.1)
+    moved = put_field(put_field(document, number, "time_of_day", 6.25), number, "date", "2026-12-21")
+    expected = ls.lights.Daylight(48.1, 11.6, "2026-12-21T06:15+02:00")
+    assert present(moved.entry(number).daylight).time == expected.time
+    assert moved.scene().lights[0].intensity == 0.0 < document.scene().lights[0].intensity
+    with pytest.raises(ls.ConfigError, match="date is 'tomorrow', expected a date such as 2026-06-21"):
+        put_field(document, number, "date", "tomorrow")

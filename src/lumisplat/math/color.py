@@ -40,8 +40,8 @@ def albedo_in_range(albedo: Doubles) -> Doubles:
 
 
 # IEC 61966-2-1: XYZ from linear Rec.709, which also gives the white point of D65.
-_XYZ_FROM_REC709 = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-_WHITE = _XYZ_FROM_REC709.sum(axis=1)
+XYZ_FROM_REC709 = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+_WHITE = XYZ_FROM_REC709.sum(axis=1)
 _KNEE = 6.0 / 29.0
 """6/29, the cube root of CIE 15's epsilon. For values below epsilon, the curve of L*a*b* is linear."""
 
@@ -53,7 +53,7 @@ def luminance(linear: npt.ArrayLike) -> Doubles:
 
 def lab(linear: npt.ArrayLike) -> Doubles:
     """Converts non-negative linear Rec.709 values, shape (..., 3), to CIE L*a*b* under D65. Grey has a* = b* = 0."""
-    relative: Doubles = np.asarray(linear, np.float64) @ (_XYZ_FROM_REC709 / _WHITE[:, None]).T
+    relative: Doubles = np.asarray(linear, np.float64) @ (XYZ_FROM_REC709 / _WHITE[:, None]).T
     straight = relative / (3.0 * _KNEE**2) + 4.0 / 29.0
     curved = np.where(relative > _KNEE**3, np.cbrt(relative), straight)
     x, y, z = np.moveaxis(curved, -1, 0)

@@ -65,7 +65,7 @@ def gizmo_pose(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: f
         The pose; None for environments, lights with keyframes and empty entries, which have no gizmo.
     """
     if entry.kind in ("lights", "environment"):
-        return None if entry.moving is not None else _light_gizmo_pose(entry.lights[0], extent)
+        return None if entry.moving else _light_gizmo_pose(entry.lights[0], extent)
     pose = pose_of(entry, time)
     if pose is None or box is None or (entry.kind == "actors" and "path" not in entry.table):
         return None

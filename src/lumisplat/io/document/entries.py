@@ -13,23 +13,26 @@ import numpy as np
 from lumisplat.io.document.tables import placement_table
 from lumisplat.io.scene_toml.actors import Load, Subjects, read_actor
 from lumisplat.io.scene_toml.assets import Assets
-from lumisplat.io.scene_toml.lights import read_environment, read_light
+from lumisplat.io.scene_toml.lights import read_environment, read_light, read_sun
 from lumisplat.io.scene_toml.materials import read_materials
 from lumisplat.io.scene_toml.placement import is_placed, placement
 from lumisplat.io.scene_toml.toml_table import TomlTable, plain_value
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.animation.actors import Actor, Instance
+from lumisplat.scene.animation.daylight import Daylight
 from lumisplat.scene.animation.lights import LightPath, MovingLight, light_at
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
-EntryKind = Literal["splats", "meshes", "actors", "lights", "environment"]
+EntryKind = Literal["splats", "meshes", "actors", "lights", "environment", "sun"]
 """Kind of an entry: the name of its table in a scene file."""
 
-KINDS: tuple[EntryKind, ...] = ("splats", "meshes", "actors", "lights", "environment")
+KINDS: tuple[EntryKind, ...] = ("splats", "meshes", "actors", "lights", "environment", "sun")
 """Kinds of entries, in the order in which their captures and meshes are added to the scene."""
-_LIGHTS: tuple[EntryKind, ...] = ("lights", "meshes", "splats", "actors", "environment")
+SINGLE: tuple[EntryKind, ...] = ("environment", "sun")
+"""Kinds of which a scene file has at most one entry, a table with single brackets."""
+_LIGHTS: tuple[EntryKind, ...] = ("lights", "meshes", "splats", "actors", "environment", "sun")
 """Kinds of entries, in the order in which their lights are added to the scene."""
 
 
@@ -46,8 +49,10 @@ class SceneEntry:
     meshes: tuple[MeshInstance, ...] = ()
     lights: tuple[Light, ...] = ()
     actor: Actor | None = None
-    moving: MovingLight | None = None
-    """The light of the entry if it changes with time; ``lights`` then has it at time 0."""
+    moving: tuple[MovingLight, ...] = ()
+    """Lights of the entry if they change with time; ``lights`` then has them at time 0."""
+    daylight: Daylight | None = None
+    """Place and time of a sun, None for other kinds."""
     world_from_file: Doubles | None = None
     """Transform from the asset's file to the world, a similarity, shape (4, 4); None for lights."""
     _assets: tuple[Scene, ...] = field(default=(), repr=False)
@@ -78,8 +83,8 @@ class SceneEntry:
     @property
     def is_of_program(self) -> bool:
         """True if the entry is an actor or a moving light that a program made and that no table describes."""
-        if self.moving is not None:
-            return "keyframes" not in self.table
+        if self.moving:
+            return self.daylight is None and "keyframes" not in self.table
         return self.actor is not None and "path" not in self.table
 
     def at(self, time: float) -> tuple[Instance, ...]:
@@ -99,7 +104,7 @@ class SceneEntry:
 
     def lights_at(self, time: float) -> tuple[Light, ...]:
         """Returns the lights of the entry at a time in seconds."""
-        return self.lights if self.moving is None else (light_at(self.moving, time),)
+        return tuple(light_at(light, time) for light in self.moving) if self.moving else self.lights
 
 
 @dataclass(slots=True)
@@ -147,6 +152,10 @@ class EntryReader:
             return _with_light(entry, read_light(table))
         if kind == "environment":
             return _with_light(entry, self._environment(table))
+        if kind == "sun":
+            daylight, lights = read_sun(table, self.up)
+            moving = lights if daylight.speed else ()
+            return replace(entry, lights=daylight.lights(self.up) if lights else (), moving=moving, daylight=daylight)
         if kind == "actors":
             if self._subjects is None:
                 self._subjects = Subjects(self.load)
@@ -194,7 +203,7 @@ class EntryReader:
 def _with_light(entry: SceneEntry, light: Light | LightPath) -> SceneEntry:
     """Returns an entry with a light, which may change with time."""
     if isinstance(light, LightPath):
-        return replace(entry, lights=(light.at(0.0),), moving=light)
+        return replace(entry, lights=(light.at(0.0),), moving=(light,))
     return replace(entry, lights=(light,))
 
 

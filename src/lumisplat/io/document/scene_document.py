@@ -22,6 +22,7 @@ from lumisplat.config.checks import suggestion
 from lumisplat.errors import ConfigError, FormatError, MissingExtraError, SceneError
 from lumisplat.io.document.entries import (
     KINDS,
+    SINGLE,
     EntryKind,
     EntryReader,
     SceneEntry,
@@ -38,7 +39,7 @@ from lumisplat.io.scene_toml.cameras import read_scene_cameras
 from lumisplat.io.scene_toml.config_file import changed_settings, read_config
 from lumisplat.io.scene_toml.materials import read_material_paths
 from lumisplat.io.scene_toml.placement import is_placed, scene_up, stand_placed_upright
-from lumisplat.io.scene_toml.scene_file import animation_of, read_document
+from lumisplat.io.scene_toml.scene_file import animation_of, check_one_sky, read_document
 from lumisplat.io.scene_toml.toml_table import TomlTable, plain_value, toml_text
 from lumisplat.math.arrays import Doubles, matrix_4x4
 from lumisplat.math.transforms import quaternions_from_matrices, rotation_between, rotation_matrix
@@ -123,7 +124,7 @@ class SceneDocument:
         for function in memory.lights:
             light = light_at(function, 0.0)
             table = light_table(light)
-            entries.append(SceneEntry(len(entries), light_kind(light), table, lights=(light,), moving=function))
+            entries.append(SceneEntry(len(entries), light_kind(light), table, lights=(light,), moving=(function,)))
         return cls(tuple(entries), memory.top, tuple(memory.problems), _reader=reader)
 
     @staticmethod
@@ -189,8 +190,8 @@ class SceneDocument:
             FormatError: ``[animation]`` or a camera is invalid.
         """
         actors = [entry.actor for entry in self.entries if entry.actor is not None and not entry.hidden]
-        lights = [entry.moving for kind in KINDS for entry in self.entries if entry.kind == kind and entry.moving]
-        fixed = [entry for entry in self.entries if entry.actor is None and entry.moving is None]
+        lights = [light for kind in KINDS for entry in self.entries if entry.kind == kind for light in entry.moving]
+        fixed = [entry for entry in self.entries if entry.actor is None and not entry.moving]
         still, _ = visible_scene(fixed, up_vector(self.top["up"]), 0.0)
         animation = animation_of(TomlTable.of(self.file, dict(self.top)), still, actors, lights)
         is_moving = animation.has_moving_content or animation.camera_path is not None
@@ -226,11 +227,12 @@ class SceneDocument:
             SceneError: There is no entry with this id, or the entry is an actor or moving light that a program made.
         """
         entry = self.entry(number)
-        if entry.is_of_program and (keys.keys() != {"hidden"} or entry.moving is not None):
-            hint = "it cannot be edited" if entry.moving is not None else "it can be hidden, but not edited"
+        if entry.is_of_program and (keys.keys() != {"hidden"} or entry.moving):
+            hint = "it cannot be edited" if entry.moving else "it can be hidden, but not edited"
             raise SceneError(f"{entry.name} is {'a light' if entry.moving else 'an actor'} made by a program: {hint}")
-        if entry.moving is not None and "keyframes" not in keys:
-            keyed = next((key for key in keys if any(key in frame for frame in entry.table["keyframes"])), None)
+        if entry.moving and "keyframes" not in keys:
+            frames = entry.table.get("keyframes", [])
+            keyed = next((key for key in keys if any(key in frame for frame in frames)), None)
             if keyed is not None:
                 raise SceneError(f"{keyed} of {entry.name} changes with time: edit its keyframes in the scene file")
         table = {key: value for key, value in (dict(entry.table) | keys).items() if value is not None}
@@ -267,8 +269,11 @@ class SceneDocument:
         """
         if kind not in KINDS:
             raise ConfigError(f"there are no entries of kind '{kind}', {suggestion(kind, KINDS)}")
-        if kind == "environment" and any(entry.kind == kind for entry in self.entries):
-            raise ConfigError("there is an environment already: change that one, or remove it first")
+        skies = [
+            entry.kind for entry in self.entries if entry.kind in SINGLE and (entry.kind == kind or not entry.hidden)
+        ]
+        if kind in SINGLE and skies:
+            raise ConfigError(f"there is {_SKIES[skies[0]]} already: change that one, or remove it first")
         number = 1 + max((entry.id for entry in self.entries), default=-1)
         number = max(number, self._reader.next_id)
         self._reader.next_id = number + 1
@@ -387,7 +392,7 @@ class SceneDocument:
                 if entry.kind == kind
             ]
             if listed:
-                tables[kind] = listed[0] if kind == "environment" else listed
+                tables[kind] = listed[0] if kind in SINGLE else listed
         return toml_text(tables)
 
     def save(self, path: PathLike, *, overwrite: bool = False) -> None:
@@ -423,6 +428,9 @@ class SceneDocument:
 
     def _with(self, changed: SceneEntry) -> SceneDocument:
         entries = tuple(changed if entry.id == changed.id else entry for entry in self.entries)
+        skies = [_SKIES[entry.kind] for entry in entries if entry.kind in SINGLE and not entry.hidden]
+        if len(skies) > 1:
+            raise SceneError(f"there would be {' and '.join(skies)}: hide one of them first")
         return replace(self, entries=entries, _scenes={})
 
     def _at(self, time: float) -> tuple[Scene, list[SceneEntry]]:
@@ -442,6 +450,7 @@ _INSERTED_KINDS = ("meshes", "actors")
 
 _UP_KEYS = ("look_at", "upright", "ground")
 """Placement keys whose meaning depends on the up direction."""
+_SKIES = {"environment": "an environment", "sun": "a sun with its sky"}
 _UPRIGHT = 1e-4
 """Largest distance between an object's unit y axis and the unit up direction at which the object counts as upright."""
 
@@ -478,11 +487,11 @@ def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _
             document = read_document(listing.file)
             stand_placed_upright(document, scene_up(document))
             listing.top = {key: value for key, value in document.values.items() if key not in KINDS}
-            for kind in KINDS[:-1]:
-                for table in document.tables(kind):
+            for kind in KINDS:
+                tables = document.tables(kind) if kind not in SINGLE else [document.table(kind)]
+                for table in tables if kind in document.values else ():
                     listing.tables.append((kind, table.values))
-            if "environment" in document.values:
-                listing.tables.append(("environment", document.table("environment").values))
+            check_one_sky(document)
     for file in files:
         if file not in scene_files:
             path = str(file) if file.is_absolute() else relative_path(file, listing.file.absolute().parent)
@@ -565,6 +574,8 @@ def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, 
     if entry.kind == "environment" and "path" in entry.table:
         light: Any = entry.lights[0]
         return _rotated_environment(reader, entry, rotation_matrix(light.rotation_wxyz), rotation_of_up, before)
+    if entry.kind == "sun":
+        return _read_entry(reader, entry.id, entry.kind, entry.table)
     matrix = entry.world_from_file
     if matrix is None or (entry.actor is not None and "path" not in entry.table):
         return entry

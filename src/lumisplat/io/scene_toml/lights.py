@@ -17,17 +17,26 @@ position = [1.0, 2.0, 0.0]
 [environment]
 path = "studio.hdr"                 # relative to the scene file
 intensity = 0.5
+
+[sun]                               # sun and clear sky, instead of [environment]
+latitude = 48.1
+longitude = 11.6
+time = 2026-06-21T18:30:00+02:00    # or as text
+speed = 1800.0                      # the clock advances by half an hour in a second of the animation
 """
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import TypeVar
 
 from lumisplat.config.checks import suggestion
 from lumisplat.errors import SceneError
 from lumisplat.io.images.radiance import read_radiance
 from lumisplat.io.scene_toml.keyframes import KEYFRAMES, read_keyframes
+from lumisplat.io.scene_toml.placement import DIRECTION
 from lumisplat.io.scene_toml.toml_table import (
+    FLAG,
     PAIR,
     TEXT,
     VECTOR,
@@ -39,9 +48,11 @@ from lumisplat.io.scene_toml.toml_table import (
     with_radians,
 )
 from lumisplat.math.arrays import FloatArray
-from lumisplat.scene.animation.lights import LightPath
+from lumisplat.scene.animation.daylight import Daylight
+from lumisplat.scene.animation.lights import LightPath, MovingLight
 from lumisplat.scene.checks import with_checked
 from lumisplat.scene.lights import LIGHT_KINDS, Light, LightEnvironment, LightSpot, PlacedLight
+from lumisplat.scene.placing import Vector
 
 _Light = TypeVar("_Light", bound=Light)
 
@@ -157,6 +168,43 @@ def read_environment(table: TomlTable, image: FloatArray | None = None) -> Light
     changing = {key: value for key, value in keys.items() if key not in _CONSTANT}
     times, tables = read_keyframes(table, changing, lambda given, last: last | given)
     return _path(table, [still(entry) for entry in tables], times, None)
+
+
+def _is_time(value: object) -> bool:
+    return isinstance(value, str | datetime)
+
+
+SUN_KEYS = schema(Daylight) | {
+    "time": Kind("a date and time", _is_time),
+    "north": DIRECTION,
+    "hidden": FLAG,
+}
+"""Allowed keys of ``[sun]``."""
+
+
+def read_sun(table: TomlTable, up: Vector) -> tuple[Daylight, tuple[Light | MovingLight, ...]]:
+    """Reads ``[sun]``: sun and sky at a place and time.
+
+    Args:
+        table: The table.
+        up: Unit vector that points up in the scene.
+
+    Returns:
+        The daylight, and its two lights, which change with time if its clock runs; no light if the table is hidden.
+
+    Raises:
+        FormatError: A key is unknown or missing, a value is invalid, or the time has no offset from UTC.
+    """
+    given = table.take(SUN_KEYS, required_keys(Daylight))
+    is_hidden = given.pop("hidden", False)
+    try:
+        daylight = Daylight(**given)
+        lights = daylight.lights(up)
+    except SceneError as error:
+        raise table.failed(error) from None
+    if is_hidden:
+        return daylight, ()
+    return daylight, daylight.moving(up) if daylight.speed else lights
 
 
 def _make(table: TomlTable, kind: type[_Light], values: Values) -> _Light:

@@ -48,13 +48,14 @@ from lumisplat.io.scene_toml.actors import Load, read_actors, with_instances
 from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_scene_cameras
 from lumisplat.io.scene_toml.config_file import read_settings
-from lumisplat.io.scene_toml.lights import read_environment, read_light
+from lumisplat.io.scene_toml.lights import read_environment, read_light, read_sun
 from lumisplat.io.scene_toml.materials import read_material_paths, read_materials
 from lumisplat.io.scene_toml.placement import keep_saved_positions, scene_up, stand_placed_upright
-from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable
+from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable, is_object
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.lights import LightPath, MaterialPath, MovingLight
+from lumisplat.scene.lights import Light
 from lumisplat.scene.placing import up_vector
 from lumisplat.scene.scene import Scene
 
@@ -68,8 +69,20 @@ ANIMATION_KEYS = {
 }
 _FPS = 25.0
 
-_HEADINGS = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")
-_VISIBLE_HEADINGS = ("splats", "meshes", "actors", "lights", "environment")
+_HEADINGS = (
+    "splats",
+    "meshes",
+    "actors",
+    "lights",
+    "environment",
+    "sun",
+    "cameras",
+    "materials",
+    "animation",
+    "render",
+    "up",
+)
+_VISIBLE_HEADINGS = ("splats", "meshes", "actors", "lights", "environment", "sun")
 """Headings of entries with visible content; a scene file without any of them renders nothing."""
 
 
@@ -137,11 +150,16 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
 
 def _static_scene(document: TomlTable, load: Load) -> tuple[Scene, list[MovingLight]]:
     """Builds the scene of a scene file without its actors, which may be empty; returns its moving lights apart."""
-    listed = [read_light(table) for table in document.tables("lights")]
-    ending = [read_environment(document.table("environment"))] if "environment" in document.values else []
-    lights, environment = ([one for one in part if not isinstance(one, LightPath)] for part in (listed, ending))
-    moving: list[MovingLight] = [one for one in (*listed, *ending) if isinstance(one, LightPath)]
     up = scene_up(document)
+    listed: list[Light | MovingLight] = [read_light(table) for table in document.tables("lights")]
+    ending: list[Light | MovingLight] = []
+    if "environment" in document.values:
+        ending.append(read_environment(document.table("environment")))
+    if "sun" in document.values:
+        check_one_sky(document)
+        ending += read_sun(document.table("sun"), up)[1]
+    lights, environment = ([one for one in part if isinstance(one, Light)] for part in (listed, ending))
+    moving = [one for one in (*listed, *ending) if not isinstance(one, Light)]
     stand_placed_upright(document, up)
     assets = Assets(load, read_materials(document), up)
     splats = [(assets.splats(table), table) for table in document.tables("splats")]
@@ -159,8 +177,16 @@ def _static_scene(document: TomlTable, load: Load) -> tuple[Scene, list[MovingLi
     return replace(scene, lights=(*lights, *scene.lights, *environment)), moving
 
 
+def check_one_sky(document: TomlTable) -> None:
+    """Raises `FormatError` if a scene file has both a visible ``[sun]`` and an enabled ``[environment]``."""
+    tables = document.values.get("sun"), document.values.get("environment")
+    sun, sky = (table if is_object(table) else None for table in tables)
+    if sun is not None and sky is not None and not sun.get("hidden", False) and sky.get("enabled", True):
+        raise document.error("has [sun], which brings its sky, and [environment]: remove one of them", "environment")
+
+
 def _heading(key: str) -> str:
-    return f"[{key}]" if key == "environment" else f"[[{key}]]"
+    return f"[{key}]" if key in ("environment", "sun") else f"[[{key}]]"
 
 
 def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Animation:
@@ -179,15 +205,21 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
             )
         scene, lights = _static_scene(document, load)
         animation = animation_of(document, scene, read_actors(document, load, scene), lights)
+        timing = document.table("animation").values
+        if animation.frame_count == 1 and document.table("sun").values.get("speed") and timing.keys() <= {"fps"}:
+            raise document.error(
+                "has a [sun] with a speed, but no length: give duration or frames in [animation]", "sun"
+            )
         return replace(animation, cameras=tuple(read_scene_cameras(document, load_cameras)))
 
 
 def is_animated(document: TomlTable) -> bool:
-    """Returns whether a scene file has actors, or a camera, light, environment or material with keyframes."""
+    """Returns whether a scene file has actors, a clock that runs, or keyframes of a camera, light or material."""
     named = document.table("materials")
     tables = [*document.tables("cameras"), *document.tables("lights"), document.table("environment")]
     tables += [named.table(name) for name in named.values]
-    return bool(document.tables("actors")) or any("keyframes" in table.values for table in tables)
+    is_keyed = any("keyframes" in table.values for table in tables)
+    return is_keyed or bool(document.tables("actors")) or bool(document.table("sun").values.get("speed"))
 
 
 def animation_of(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +47,8 @@ class AddPanel:
 
     def __init__(self, gui: viser.GuiApi, session: Session) -> None:
         self._session = session
-        self._what = gui.add_dropdown("type", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
+        kinds = [*(f"{kind} light" for kind in _LIGHTS), "environment", "sun and sky", *_SHAPES]
+        self._what = gui.add_dropdown("type", kinds)
         gui.add_button("add").on_click(view_callback(session, self._add, lambda: (str(self._what.value),)))
         hint = "Captures, meshes and environment images in the folder of the scene file."
         self._file = gui.add_dropdown("file in scene folder", [_NOTHING], hint=hint)
@@ -84,6 +86,8 @@ class AddPanel:
         tables = light_tables(pose, np.array(self._session.scene.up_direction))
         if kind == "environment":
             self._insert("environment", {"color": [1.0, 1.0, 1.0], "visible": False})
+        elif kind == "sun and sky":
+            self._insert("sun", daylight_table(datetime.now().astimezone()))
         elif kind in tables:
             self._insert("lights", {"type": kind, **tables[kind]})
         elif kind in _SHAPES:
@@ -159,6 +163,13 @@ class AddPanel:
         """
         self._session.selected = number
         return document
+
+
+def daylight_table(now: datetime) -> dict[str, Any]:
+    """Returns a scene-file table of a new sun: today at 15:00, at a place guessed from the time zone of ``now``."""
+    offset = now.utcoffset() or timedelta()
+    time = now.replace(hour=15, minute=0, second=0, microsecond=0)
+    return {"latitude": 45.0, "longitude": 15.0 * offset / timedelta(hours=1), "time": time.isoformat()}
 
 
 def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import date, datetime, timedelta
 from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
@@ -46,6 +47,11 @@ _SUN = (
     ),
 )
 """Fields shown for a directional light in place of its direction: azimuth, elevation and hour."""
+_CLOCK = (
+    Setting("date", "text", "Date, as 2026-06-21."),
+    Setting("time_of_day", "number", "Hours on the clock, in the time zone of the scene file.", range=Range(0.0, 24.0)),
+)
+"""Fields shown for daylight in place of its time."""
 _CAPTURE_SHADING: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_catcher": None},
     "relit, PBR": {"material": {"type": "pbr"}, "shadow_catcher": None},
@@ -89,6 +95,30 @@ def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -
         else:
             found.append((field, value))
     return found
+
+
+def daylight_fields(daylight: ls.lights.Daylight) -> list[tuple[Setting, Any]]:
+    """Returns a description and the value of each field of daylight, with date and time of day in place of its time."""
+    time = daylight.time
+    hours = time.hour + time.minute / 60.0 + time.second / 3600.0
+    clock = zip(_CLOCK, (time.date().isoformat(), round(hours, 4)), strict=True)
+    fields = control_settings(ls.lights.Daylight)
+    return [*clock, *((one, getattr(daylight, one.name)) for one in fields if one.name not in ("time", "north"))]
+
+
+def _clock_changed(time: datetime, name: str, value: Any) -> str:
+    """Returns the time with another ``date`` or ``time_of_day``, as ISO 8601 text.
+
+    Raises:
+        ConfigError: The date is none.
+    """
+    if name == "date":
+        try:
+            return datetime.combine(date.fromisoformat(str(value)), time.timetz()).isoformat()
+        except ValueError:
+            raise ls.ConfigError(f"date is {value!r}, expected a date such as 2026-06-21") from None
+    midnight = time.replace(hour=0, minute=0, second=0, microsecond=0)
+    return (midnight + timedelta(seconds=min(round(3600.0 * float(value)), 86399))).isoformat()
 
 
 def material_fields(material: Any, gaussians: ls.Gaussians | None) -> list[tuple[Setting, Any]]:
@@ -229,6 +259,8 @@ class Inspector:
 
     def _fields(self, entry: ls.io.SceneEntry) -> list[tuple[Setting, Any]]:
         """Returns a description and the value of each field of an entry that the inspector shows."""
+        if entry.daylight is not None:
+            return [(_flag("hidden"), entry.hidden), *daylight_fields(entry.daylight)]
         if entry.kind in ("lights", "environment"):
             return light_fields(entry.lights[0], self._session.scene.up_direction)
         fields: list[tuple[Setting, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
@@ -344,6 +376,8 @@ def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any)
             direction = direction_of_angles(azimuth, value, up)
         at = [round(float(x), 6) for x in direction]
         return document.changed(number, direction=at, position=None, target=None)
+    if entry.daylight is not None and name in [field.name for field in _CLOCK]:
+        return document.changed(number, time=_clock_changed(entry.daylight.time, name, value))
     if name == "hidden":
         return document.changed(number, hidden=True if value else None)
     return document.changed(number, **_cleared_aliases(entry, name), **{name: _plain(value)})

@@ -142,7 +142,13 @@ def with_entry_on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.Sc
     return with_moved_entry(document, entry, shift, 0.0)
 
 
-KIND_NAMES = {"splats": "capture", "meshes": "mesh", "actors": "actor", "environment": "environment"}
+KIND_NAMES = {
+    "splats": "capture",
+    "meshes": "mesh",
+    "actors": "actor",
+    "environment": "environment",
+    "sun": "sun and sky",
+}
 _PARTS_MAX = 8
 """Largest number of meshes of one file whose names the list shows; more are only counted."""
 
@@ -186,7 +192,7 @@ def kind_name(entry: ls.io.SceneEntry) -> str:
 
 def _entry_row(entry: ls.io.SceneEntry, *, is_selected: bool, is_locked: bool) -> str:
     """Returns an entry's row of the HTML list: icon, name, and buttons to hide and lock it."""
-    sun = entry.kind == "lights" and entry.table["type"] == "directional"
+    sun = entry.kind == "sun" or (entry.kind == "lights" and entry.table["type"] == "directional")
     states = " selected" * is_selected + " hidden" * entry.hidden
     eye, padlock = "hidden" if entry.hidden else "shown", "locked" if is_locked else "open"
     hide = button(f"hide {entry.id}", eye, "show" if entry.hidden else "hide", is_on=entry.hidden)
@@ -208,7 +214,7 @@ def _details(entry: ls.io.SceneEntry, boxes: BoxCache, time: float) -> list[str]
     instances = entry.at(time)
     gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
     faces = sum(i.mesh.face_count for i in instances if isinstance(i, ls.MeshInstance))
-    parts = [kind_name(entry), *(["changes with time"] if entry.moving is not None else [])]
+    parts = [kind_name(entry), *(["changes with time"] if entry.moving else [])]
     counts = (gaussians, "Gaussian"), (faces, "face")
     parts += [f"{count:,} {noun}{'' if count == 1 else 's'}" for count, noun in counts if count]
     size = boxes.size(entry, time)
