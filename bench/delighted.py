@@ -191,7 +191,9 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
     """Returns the figures of a case, and rows of images: captured, estimated and true colours."""
     count = case.truth.count
     start = time.process_time()
-    found = ls.inverse.estimate_materials(case.captured, ls.config.DelightConfig(matt=case.material is MATT), device=device)
+    found = ls.inverse.estimate_materials(
+        case.captured, ls.config.DelightConfig(matt=case.material is MATT), device=device
+    )
     seconds = time.process_time() - start
     assert case.truth.albedo is not None and found.gaussians.albedo is not None
     given = np.asarray(found.gaussians.normals, np.float64)
