@@ -94,6 +94,7 @@ def test_disc_gaussians_of_a_stretched_or_sheared_rig_become_the_exact_ellipses(
 def face_normals(rigged: ls.RiggedGaussians, time: float | None = None) -> np.ndarray:
     """Returns the normal of the triangle under each Gaussian, shape (N, 3)."""
     mesh = rigged.rig.mesh if time is None else rigged.rig.pose(time)
+    assert isinstance(rigged.bindings, tuple)
     binding = rigged.bindings[0]
     a, b, c = mesh.positions.astype(float)[binding.corners[binding.triangles]].swapaxes(0, 1)
     cross = np.cross(b - a, c - a)
@@ -105,6 +106,7 @@ def test_gaussians_of_a_posed_rig_keep_their_barycentric_coordinates(tmp_path):
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
     positions, _ = posed(rig, "bend", 0.8)
+    assert isinstance(rigged.bindings, tuple)
     binding = rigged.bindings[0]
     corners = positions[binding.corners[binding.triangles]]
     wanted = np.einsum("nk,nkj->nj", binding.weights.astype(float), corners)
