@@ -94,7 +94,7 @@ def test_python_names_in_messages_are_replaced_by_command_line_options(message: 
         (("--set=noise=soft",), "--set noise=soft: noise is 'soft', expected"),
         (
             ("--set=adaptive=on", "--pipeline", "hybrid"),
-            "--set adaptive=on needs traced camera rays: use --pipeline path or",
+            "--set adaptive=true needs traced camera rays: use --pipeline path or",
         ),
         (("--set=shadow_rays.offset=-2",), "--set shadow_rays.offset=-2: offset is -2, expected 0.0 to 100.0"),
         (

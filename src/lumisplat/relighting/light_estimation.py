@@ -274,11 +274,11 @@ def _nothing_found_message(center: Doubles, radius: float, stands_out: bool) -> 
     if stands_out:
         return (
             f"no light found {where}: bright Gaussians stand out, but none lights its surroundings; give a sun or "
-            "lights yourself, or set evidence to 0 to accept any bright Gaussian"
+            "lights yourself, or LightEstimationConfig.evidence=0 to accept any bright Gaussian"
         )
     return (
         f"no light found {where}: nothing bright stands out from its surroundings; give a sun or lights yourself, or "
-        "lower compactness to accept bright walls and windows"
+        "LightEstimationConfig.compactness=0 to accept bright walls and windows"
     )
 
 

@@ -92,7 +92,7 @@ def check_sampling(config: RenderConfig) -> None:
     if config.adaptive and not may_adapt(config):
         if not config.pipeline.rasterises:
             raise ConfigError(
-                "RenderConfig.adaptive=True needs independent random numbers per pixel: shadow_rays.shared_draws=False"
+                "RenderConfig.adaptive=True needs independent random numbers per pixel: ShadowConfig.shared_draws=False"
             )
         raise ConfigError("RenderConfig.adaptive=True needs traced camera rays: use Pipeline.PATH or Pipeline.TRACE")
 

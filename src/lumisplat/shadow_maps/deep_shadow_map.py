@@ -269,7 +269,7 @@ class DeepShadowMap:
         if not len(rows):
             _log.warning(
                 "no receivers are near the casters, so the map shadows nothing: "
-                "pass receivers, or increase config.region_radius"
+                "pass receivers, or increase DeepShadowConfig.region_radius"
             )
         near = PlacedGaussians(*(column[rows] for column in receivers))
         self._atlas = atlas_of(self._source, near, self.config)

@@ -112,7 +112,7 @@ def test_render_in_tiles_continues_after_a_killed_process(work, tmp_path: Path) 
         (("--tiles", "0x2"), "--tiles 0x2: columns is 0, expected 1 to 5"),
         (("--tiles", "2x9"), "--tiles 2x9: rows is 9, expected 1 to 4"),
         (("--tiles", "2x2", "--format", "npz"), "--tiles needs .png or .exr"),
-        (("--tiles", "2x2", "--aov", "depth"), "write the layers into an EXR: give --format exr"),
+        (("--tiles", "2x2", "--aov", "depth"), "write the layers into an EXR: give -o NAME.exr"),
         (("--tiles", "2x2", "--aov", "deep", "--format", "exr"), "--aov deep and --tiles exclude each other"),
         (
             ("--tiles", "2x2", "--aov", "cryptomatte", "--format", "exr"),

@@ -131,7 +131,7 @@ class Dataset(FrameCommand, InsertingCommand):
         config = self.frame_config(base, {"aovs": (*base.aovs, *albedo)}, without_none({"seed": self.seed}))
         if config.pipeline.is_sequence:
             raise ls.ConfigError(
-                "--pipeline realtime needs consecutive frames, but views are unrelated: use path or hybrid"
+                "--pipeline realtime needs consecutive frames, but views are unrelated: use --pipeline path or hybrid"
             )
         cameras = self._cameras(settings)
         check_folder(self.output)

@@ -336,7 +336,9 @@ class Render(ViewsCommand, FrameCommand):
         if self.view and shots[0].path.suffix.lower() != ".png":
             raise ls.ConfigError(f"{shots[0].path}: --view writes an image in colours, expected .png")
         if self._layers.cryptomatte and shots[0].path.suffix.lower() != ".exr":
-            raise ls.ConfigError(f"{shots[0].path}: --aov cryptomatte needs an EXR: name one, or give --format exr")
+            raise ls.ConfigError(
+                f"{shots[0].path}: --aov cryptomatte needs an EXR: give -o NAME.exr, or a folder and --format exr"
+            )
         return shots
 
 

@@ -11,7 +11,15 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file
 from lumisplat.cli.input.numbers import vector
-from lumisplat.cli.options.command import DeviceCommand, InsertingCommand, own_options_first, setting, without_none
+from lumisplat.cli.options.command import (
+    LIGHTING,
+    DeviceCommand,
+    InsertingCommand,
+    SetCommand,
+    own_options_first,
+    setting,
+    without_none,
+)
 from lumisplat.cli.output.console import Report, byte_size, counted, found_light, progress_bars, up_name
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
@@ -23,7 +31,7 @@ _CAPTURES = (".ply", ".spz")
 
 @own_options_first
 @dataclass(frozen=True, kw_only=True)
-class ShadowMap(InsertingCommand, DeviceCommand):
+class ShadowMap(InsertingCommand, DeviceCommand, SetCommand):
     """Bake the shadows of avatars and objects into a capture.
 
     Guide: docs/guide/shadow_maps.md.
@@ -50,6 +58,8 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     """Sample the map per Gaussian by center, stencil (7 points) or monte-carlo (random points)."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
     """Set the number of texels across the map."""
+    changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="NAME=VALUE")] = ()
+    """Change a setting of animation.lighting, such as animation.lighting.estimation.evidence=0."""
 
     def run(self) -> None:
         """Casts the shadows, and writes the darkened capture or, for an .npz output, the shadow map."""
@@ -60,7 +70,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         is_map = self.output.suffix.lower() == ".npz"
         if not is_map and self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"{self.output}: expected .ply, .compressed.ply, .spz, or .npz for the map")
-        lights = self._lights()
+        lights, config = self._lights(), self._config()
         self.quiet_warp()
         with progress_bars() as report:
             capture = self.load_asset(self.onto, report)
@@ -72,18 +82,22 @@ class ShadowMap(InsertingCommand, DeviceCommand):
             report("casting shadows", 0.0)
             lights = lights or casters.lights
             save = self._save_map if is_map else self._save_capture
-            summary = save(casters, capture, lights, report)
+            summary = save(casters, capture, lights, config, report)
             report("casting shadows", 1.0)
         print(summary)
         if scene_file(self.casters):
             whose = "as in the capture" if casters.up == up else "as their scene.toml says"
             print(f"casters: up is {up_name(casters.up_direction)}, {whose}")
 
-    def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
+    def _save_capture(
+        self,
+        casters: ls.Scene,
+        capture: ls.Gaussians,
+        lights: tuple[Light, ...],
+        config: ls.config.AvatarLightingConfig,
+        report: Report,
+    ) -> str:
         """Writes the capture darkened by the shadows of the casters; returns a summary line."""
-        config = ls.config.AvatarLightingConfig(
-            shadow_map=self._map_config(), relight=False, **without_none({"direct": self.direct})
-        )
         scene = ls.Scene(splats=(ls.SplatInstance(capture),))
         lighter = ls.AvatarLighter(scene, lights or None, config, device=self.device, progress=report)
         shadowed = lighter.light([*casters.splats, *casters.meshes]).splats[0].gaussians
@@ -95,7 +109,14 @@ class ShadowMap(InsertingCommand, DeviceCommand):
             summary += f"\nno lights were given; shadows use those that were found: {found}"
         return summary
 
-    def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
+    def _save_map(
+        self,
+        casters: ls.Scene,
+        capture: ls.Gaussians,
+        lights: tuple[Light, ...],
+        config: ls.config.AvatarLightingConfig,
+        report: Report,
+    ) -> str:
         """Writes the deep shadow map of the only light as .npz; returns a summary line.
 
         Raises:
@@ -106,7 +127,7 @@ class ShadowMap(InsertingCommand, DeviceCommand):
         if self.direct is not None:
             raise ls.ConfigError("--direct needs a capture as output: a map stores the transmittance of a light")
         shadow = ls.DeepShadowMap.build(
-            casters, lights[0], capture, self._map_config(), device=self.device, progress=report
+            casters, lights[0], capture, config.shadow_map, device=self.device, progress=report
         )
         shadow.save(self.output)
         stats = shadow.stats
@@ -115,14 +136,22 @@ class ShadowMap(InsertingCommand, DeviceCommand):
             f"{counted(stats.casters, 'Gaussian')}, {byte_size(self.output.stat().st_size)}"
         )
 
-    def _map_config(self) -> ls.config.DeepShadowConfig:
-        """Returns the settings of the deep shadow map, from the command's options."""
+    def _config(self) -> ls.config.AvatarLightingConfig:
+        """Returns the settings of the shadows, from the command's options and, last, ``--set``.
+
+        Raises:
+            ConfigError: A setting is unknown or its value is out of range.
+        """
+        if others := [*self.set_values()]:
+            raise ls.ConfigError(f"--set {others[0]}: expected a setting of {LIGHTING.rstrip('.')}")
         changes = without_none({"strength": self.strength, "resolution": self.resolution})
         if self.absorption is not None:
             changes["absorption"] = ls.config.Absorption(self.absorption)
         if self.sampling is not None:
             changes["sampling"] = ls.config.ReceiverSampling(self.sampling)
-        return replace(ls.config.DeepShadowConfig(), **changes)
+        shadow_map = replace(ls.config.DeepShadowConfig(), **changes)
+        config = ls.config.AvatarLightingConfig(shadow_map=shadow_map, **without_none({"direct": self.direct}))
+        return replace(self.changed(config, LIGHTING), relight=False)
 
     def _lights(self) -> tuple[ls.LightPoint | ls.LightDirectional, ...]:
         """Returns the lights of ``--light`` or ``--sun``; empty without these options."""

@@ -226,7 +226,9 @@ def _check_format(path: Path, *, has_layers: bool) -> None:
     if path.suffix.lower() not in (".png", ".exr"):
         raise ls.ConfigError(f"{path}: --tiles needs .png or .exr")
     if has_layers and path.suffix.lower() == ".png":
-        raise ls.ConfigError(f"{path}: --aov and --tiles write the layers into an EXR: give --format exr")
+        raise ls.ConfigError(
+            f"{path}: --aov and --tiles write the layers into an EXR: give -o NAME.exr, or a folder and --format exr"
+        )
 
 
 def _cut(camera: ls.Camera, grid: str) -> list[ls.Camera]:

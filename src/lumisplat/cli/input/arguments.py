@@ -159,13 +159,13 @@ def logging_in_shell_words(command: Command) -> Generator[None]:
 
 @lru_cache(maxsize=1)
 def _settings() -> tuple[dict[str, str], dict[str, str]]:
-    """Returns two dictionaries that are needed to translate names of `lumisplat.RenderConfig` to options.
+    """Returns two dictionaries that translate names of `lumisplat.RenderConfig` and of actors' light to options.
 
     The first maps the class name of each enum to the setting of that type. The second maps the class name of each
     nested group of settings to its prefix, such as ``trace.``.
     """
     enums: dict[str, str] = {}
-    groups: dict[str, str] = {"RenderConfig": "", "RelightConfig": "animation.lighting.transfer."}
+    groups: dict[str, str] = {"RenderConfig": "", "AvatarLightingConfig": "animation.lighting."}
 
     def walk(kind: type[Any], prefix: str) -> None:
         for name, hint in get_type_hints(kind).items():
@@ -177,6 +177,7 @@ def _settings() -> tuple[dict[str, str], dict[str, str]]:
                     enums.setdefault(one.__name__, prefix + name)
 
     walk(ls.RenderConfig, "")
+    walk(ls.config.AvatarLightingConfig, "animation.lighting.")
     return enums, groups
 
 
@@ -204,6 +205,7 @@ def _typed(setting: str, value: str) -> str:
     """Returns how a setting is typed: its option, else ``--set NAME=VALUE``; an empty value is left out."""
     if setting in _SETTINGS_WITH_OPTION:
         return f"{_OPTION_OF.get(setting, '--' + setting.replace('_', '-'))} {value}".rstrip()
+    value = {"on": "true", "off": "false"}.get(value, value)
     return f"--set {setting}={value}" if value else f"--set {setting}"
 
 

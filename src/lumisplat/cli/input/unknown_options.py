@@ -113,7 +113,8 @@ def _answer(option: str, value: str, command: type[Any], commands: Mapping[str, 
     known = options_of(command)
     if option in FORMER_OPTIONS and FORMER_OPTIONS[option].split()[0] in known:
         return f"{option} is now {FORMER_OPTIONS[option].format(value or 'VALUE')}"
-    if "--set" in known:
+    sets = "--set" in known and not program.endswith("shadowmap")  # whose --set changes the light of actors only
+    if sets:
         former = FORMER_SETTINGS.get(option, ())
         if former and (program.endswith("animate") or not former[0].startswith("animation.")):
             texts = (name if "=" in name else f"{name}={value or 'VALUE'}" for name in former)
@@ -123,7 +124,7 @@ def _answer(option: str, value: str, command: type[Any], commands: Mapping[str, 
     meant = _suggestions(option, command)
     others = [name for name, other in commands.items() if option in options_of(other)]
     others.sort(key=lambda name: not name.endswith(program.rpartition(" ")[2]))
-    if not meant and "--set" in known and not others:
+    if not meant and sets and not others:
         meant = [f"--set {text}" for text in _near_settings(option, value)]
     hint = f"; perhaps you meant {' or '.join(meant[:_SUGGESTIONS_MAX])}" if meant else ""
     if not meant and others:

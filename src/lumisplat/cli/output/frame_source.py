@@ -116,7 +116,9 @@ class FrameSource:
     def _focused(self, scene: ls.Scene, camera: ls.Camera, x: int, y: int) -> ls.Camera:
         """Returns the camera focused on the surface in the pixel of column ``x`` and row ``y``."""
         if camera.aperture == 0.0:
-            raise ls.ConfigError("--focus needs a lens: --aperture gives its radius, in units of the scene")
+            raise ls.ConfigError(
+                "--focus needs a lens: --aperture gives its radius in units of the scene, and --pipeline trace its rays"
+            )
         return self.renderer.focused(scene, camera, x, y)
 
 
