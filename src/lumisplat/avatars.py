@@ -1,7 +1,7 @@
 """Rigged avatars made of Gaussians, and their relighting by a captured scene."""
 
 from lumisplat.io.load_save import load_bound_gaussians, load_motion, load_rig
-from lumisplat.relighting.actors import shadowed
+from lumisplat.relighting.actors import shadow_strength, shadowed
 from lumisplat.relighting.avatar_lighter import AvatarLighter
 from lumisplat.relighting.capture_measures import estimate_capture_gain
 from lumisplat.relighting.probe import EnvironmentProbe
@@ -22,5 +22,6 @@ __all__ = [
     "load_motion",
     "load_rig",
     "relight",
+    "shadow_strength",
     "shadowed",
 ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +81,13 @@ def test_shadowmap_with_drop_invalid_leaves_out_invalid_gaussians(work: Workspac
         (("--sun", "0,0,inf", "-o", "@a.ply"), "--sun is '0,0,inf', expected finite numbers"),
         (("--sun", "0,0,0", "-o", "@a.ply"), "needs a direction or a target"),
         (("--sun", "0,0,1", "--light", LIGHT, "-o", "@a.ply"), "choose one"),
-        (("--light", LIGHT, "-o", "@a.png"), "a.png: expected .ply"),
+        (
+            ("--light", LIGHT, "-o", "@a.png"),
+            "a.png: expected .ply, .compressed.ply, .spz, or .npz for the map; images",
+        ),
+        (("--light", LIGHT, "-o", "@a.ply", "--cameras", "@cameras.json"), "--cameras writes images, expected .png"),
+        (("--light", LIGHT, "-o", "@a.png", "--cameras", "@cameras.json"), "2 images do not fit into one file"),
+        (("--light", LIGHT, "-o", "@a", "--cameras", "@cameras.json", "--direct", "1"), "--direct needs a capture"),
         (("--light", LIGHT, "--light", "0,0,9", "-o", "@a.npz"), "a map needs one light, got 2"),
         (("--light", LIGHT, "--direct", "0.5", "-o", "@a.npz"), "--direct needs a capture as output"),
         (("--light", LIGHT, "--resolution", "100", "-o", "@a.ply"), "resolution is 100"),
@@ -136,3 +144,21 @@ def test_shadowmap_places_casting_meshes_on_the_ground_of_the_capture(
     expected = lighter.light(list(placed.meshes)).splats[0].gaussians
     np.testing.assert_array_equal(work.capture("put.ply").sh, expected.sh)
     assert (work.capture("put.ply").sh != work.capture("kept.ply").sh).any()
+
+
+def test_shadowmap_with_cameras_writes_images_of_shadow_strength_for_the_shadow_metrics(work: Workspace) -> None:
+    """A pixel is 1 - T blended over the Gaussians that it shows, whatever their colours; casters are not shown."""
+    status, out, err = run(work, "--light", LIGHT, "--cameras", "@cameras.json", "-o", "@strength")
+    assert (status, err) == (0, "") and "shadow strength in 2 images" in out
+    capture, camera = work.capture("capture.ply"), ls.load_cameras(work.path("cameras.json"))[0]
+    shadow = ls.DeepShadowMap.build(ls.load(work.path("mesh.obj")), (0, 0, -6), capture, device="cpu")
+    strength = (1.0 - shadow.transmittance_of(capture)).astype(np.float64)
+    sh = np.repeat(((strength - 0.5) * 2.0 * np.sqrt(np.pi))[:, None, None], 3, axis=2)
+    shades = replace(capture, sh=sh.astype(np.float32))
+    expected = ls.render(ls.Scene([ls.SplatInstance(shades)]), camera, device="cpu").pixels_srgb()
+    written = ls.load_image(work.path("strength/left.png"))
+    assert expected.max() > 0.5
+    np.testing.assert_allclose(written, expected, atol=1.01 / 255)
+    same = work.run("metrics", "@strength/left.png", "@strength/right.png", "--metrics", "sae,sm-iou,bf", "--json")
+    figures = json.loads(same.out)["mean"]
+    assert figures == {"sae": 0.0, "sm-iou": 1.0, "bf": 1.0}

@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from lumisplat.config import AvatarLightingConfig
 from lumisplat.config.checks import check_range
-from lumisplat.constants import SHADOW_FOOTPRINT
+from lumisplat.constants import SH_C0, SHADOW_FOOTPRINT
 from lumisplat.errors import SceneError, check_instance
 from lumisplat.math.arrays import FloatArray, float_array
+from lumisplat.math.color import decode_srgb
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.progress import Progress
 from lumisplat.scene.gaussians import Gaussians
@@ -130,6 +131,30 @@ def shadowed(
     if outside:
         raise SceneError(f"transmittances: {outside:,} of {checked.size:,} are outside 0..1")
     return scale_light_of(receivers, light_factors(light_shares(lights, instance), checked, direct))
+
+
+def shadow_strength(receivers: Gaussians, lights: Sequence[Light], transmittances: npt.ArrayLike) -> Gaussians:
+    """Returns Gaussians in greys of their shadow strength: unlit frames of them are images for the shadow metrics.
+
+    The strength is ``S = 1 - sum_l w_l T_l`` with the fractions and transmittances of `shadowed`: 0 (black) where all
+    light arrives, 1 (white) where none does. A frame shows it blended over the Gaussians of each pixel. Source: Mir et
+    al. 2026, section 4.2, which measures it by `lumisplat.metrics.sae`, ``sm_iou`` and ``boundary_f``.
+
+    Args:
+        receivers: N Gaussians in world space.
+        lights: As for `shadowed`.
+        transmittances: As for `shadowed`, shape (L, N).
+
+    Returns:
+        The Gaussians with SH of degree 0.
+
+    Raises:
+        SceneError: As for `shadowed`.
+    """
+    check_instance(receivers, Gaussians, "shadow_strength takes Gaussians")
+    white = replace(receivers, sh=np.full((receivers.count, 1, 3), 0.5 / SH_C0, np.float32))
+    lit = decode_srgb(0.5 + SH_C0 * shadowed(white, lights, transmittances).sh.astype(np.float64)).mean(axis=2)
+    return replace(white, sh=np.repeat((0.5 - lit)[..., None] / SH_C0, 3, axis=2).astype(np.float32))
 
 
 def light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:

@@ -21,7 +21,15 @@ from lumisplat.cli.options.command import (
     without_none,
 )
 from lumisplat.cli.output.console import Report, byte_size, counted, found_light, progress_bars, up_name
-from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
+from lumisplat.cli.output.images import (
+    STANDARD_OUTPUT,
+    Shot,
+    check_writable,
+    make_folder,
+    plan_shots,
+    refuse_standard_output,
+    standard_output,
+)
 
 if TYPE_CHECKING:
     from lumisplat.scene.lights import Light
@@ -43,7 +51,9 @@ class ShadowMap(InsertingCommand, DeviceCommand, SetCommand):
     onto: Annotated[Path, arg(metavar="FILE")]
     """Cast the shadows onto this capture."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """Write a capture .ply or .spz, or the map .npz; - is standard output."""
+    """Write a .ply or .spz, a map .npz, or images; - is standard output."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write images of shadow strength, white where no light arrives, one for each camera."""
     light: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="X,Y,Z")] = ()
     """Place a light at this point; without, use the files' lights or estimated ones."""
     sun: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
@@ -63,13 +73,23 @@ class ShadowMap(InsertingCommand, DeviceCommand, SetCommand):
 
     def run(self) -> None:
         """Casts the shadows, and writes the darkened capture or, for an .npz output, the shadow map."""
+        if self.cameras is not None:
+            refuse_standard_output(self.output)
         if self.output == STANDARD_OUTPUT:
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
             return
         is_map = self.output.suffix.lower() == ".npz"
-        if not is_map and self.output.suffix.lower() not in _CAPTURES:
-            raise ls.ConfigError(f"{self.output}: expected .ply, .compressed.ply, .spz, or .npz for the map")
+        shots = self._shots()
+        if not shots and not is_map and self.output.suffix.lower() not in _CAPTURES:
+            raise ls.ConfigError(
+                f"{self.output}: expected .ply, .compressed.ply, .spz, or .npz for the map; images need --cameras"
+            )
+        if self.direct is not None and (is_map or shots):
+            what = (
+                "a map stores the transmittance of a light" if is_map else "images hold the whole shadow of the lights"
+            )
+            raise ls.ConfigError(f"--direct needs a capture as output: {what}")
         lights, config = self._lights(), self._config()
         self.quiet_warp()
         with progress_bars() as report:
@@ -81,8 +101,12 @@ class ShadowMap(InsertingCommand, DeviceCommand, SetCommand):
             casters = self.load_scene(self.casters, report, up, around=receiver)
             report("casting shadows", 0.0)
             lights = lights or casters.lights
-            save = self._save_map if is_map else self._save_capture
-            summary = save(casters, capture, lights, config, report)
+            if shots:
+                lighter = ls.AvatarLighter(receiver, lights or None, config, device=self.device, progress=report)
+                summary = self._save_images(shots, casters, capture, lighter, report)
+            else:
+                save = self._save_map if is_map else self._save_capture
+                summary = save(casters, capture, lights, config, report)
             report("casting shadows", 1.0)
         print(summary)
         if scene_file(self.casters):
@@ -103,11 +127,56 @@ class ShadowMap(InsertingCommand, DeviceCommand, SetCommand):
         shadowed = lighter.light([*casters.splats, *casters.meshes]).splats[0].gaussians
         ls.save(self.output, shadowed)
         changed = int((shadowed.sh != capture.sh).any(axis=(1, 2)).sum())
-        summary = f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in shadow"
-        found = found_light(lighter)
-        if found is not None:
-            summary += f"\nno lights were given; shadows use those that were found: {found}"
-        return summary
+        return f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in shadow{_found_light(lighter)}"
+
+    def _save_images(
+        self,
+        shots: list[Shot],
+        casters: ls.Scene,
+        capture: ls.Gaussians,
+        lighter: ls.AvatarLighter,
+        report: Report,
+    ) -> str:
+        """Writes images of shadow strength, which show the capture without the casters; returns a summary line.
+
+        A pixel is the strength S of Mir et al. (2026, section 4.2): 0 where the light of all lights arrives, 1 where
+        none does, of the Gaussians that it shows, blended as colours are; over the background it is 0.
+        """
+        if lighter.lights is None:
+            lighter.light([*casters.splats, *casters.meshes])  # finds lights around the casters
+        casting = lighter.lights or ()
+        maps = [
+            ls.DeepShadowMap.build(
+                casters, one, capture, lighter.config.shadow_map, device=self.device, progress=report
+            )
+            for one in casting
+        ]
+        receivers = ls.avatars.shadow_strength(capture, casting, [one.transmittance_of(capture) for one in maps])
+        renderer = self.start_renderer(report, ls.RenderConfig(lighting=False))
+        if shots[0].path != self.output:
+            make_folder(self.output)
+        for shot in shots:
+            renderer.render(ls.Scene(splats=(ls.SplatInstance(receivers),)), shot.camera).save(shot.path)
+        return f"{self.output}: shadow strength in {counted(len(shots), 'image')}{_found_light(lighter)}"
+
+    def _shots(self) -> list[Shot]:
+        """Returns the cameras of ``--cameras`` and the file of each one's image; empty without the option.
+
+        Raises:
+            ConfigError: The output is no PNG and no folder, or one file for several cameras.
+            FormatError: The file has no cameras.
+        """
+        if self.cameras is None:
+            return []
+        cameras = ls.load_cameras(self.cameras)
+        if not cameras:
+            raise ls.FormatError(self.cameras, "has no cameras")
+        if self.output.suffix.lower() not in ("", ".png"):
+            raise ls.ConfigError(f"{self.output}: --cameras writes images, expected .png or a folder")
+        check_writable(self.output)
+        if self.output.suffix and len(cameras) > 1:
+            raise ls.ConfigError(f"{self.output}: {len(cameras)} images do not fit into one file: give a folder")
+        return plan_shots(cameras, (), self.output, "png")
 
     def _save_map(
         self,
@@ -120,12 +189,10 @@ class ShadowMap(InsertingCommand, DeviceCommand, SetCommand):
         """Writes the deep shadow map of the only light as .npz; returns a summary line.
 
         Raises:
-            ConfigError: There is not exactly one light, or ``--direct`` is given.
+            ConfigError: There is not exactly one light.
         """
         if len(lights) != 1:
             raise ls.ConfigError(f"a map needs one light, got {len(lights)}: give one --light or a --sun")
-        if self.direct is not None:
-            raise ls.ConfigError("--direct needs a capture as output: a map stores the transmittance of a light")
         shadow = ls.DeepShadowMap.build(
             casters, lights[0], capture, config.shadow_map, device=self.device, progress=report
         )
@@ -160,3 +227,9 @@ class ShadowMap(InsertingCommand, DeviceCommand, SetCommand):
         if self.sun is not None:
             return (ls.LightDirectional(vector("--sun", self.sun)),)
         return tuple(ls.LightPoint(vector("--light", text)) for text in self.light)
+
+
+def _found_light(lighter: ls.AvatarLighter) -> str:
+    """Returns a further line for the summary about lights that were found; empty if lights were given."""
+    found = found_light(lighter)
+    return "" if found is None else f"\nno lights were given; shadows use those that were found: {found}"
