@@ -40,6 +40,7 @@ from lumisplat.cli.commands.orbit import Orbit
 from lumisplat.cli.commands.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
+from lumisplat.cli.commands.study import Study
 from lumisplat.cli.commands.train import Train
 from lumisplat.cli.commands.view import View
 from lumisplat.cli.input.arguments import (
@@ -70,6 +71,7 @@ _GROUPS: dict[str, dict[str, type[Any]]] = {
         "farm": Farm,
         "bench": Bench,
         "metrics": Metrics,
+        "study": Study,
         "doctor": Doctor,
         "completion": Completion,
     },
