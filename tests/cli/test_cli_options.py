@@ -168,7 +168,7 @@ def test_help_lists_all_commands_on_one_screen(capsys: pytest.CaptureFixture[str
     [
         ("train", ls.TrainConfig()),
         ("delight", ls.config.DelightConfig()),
-        ("relight", ls.config.RelightConfig()),
+        ("relight", ls.config.RelightConfig(gamma=1.0)),
         ("dataset", ls.config.DatasetConfig()),
         ("shadowmap", ls.config.DeepShadowConfig()),
     ],
