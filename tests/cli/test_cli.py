@@ -313,7 +313,7 @@ def test_render_command_with_the_trace_pipeline_equals_library_render(work, monk
     """The image shows glass in front of a capture; progress is reported for each sample."""
     work.path("scene.toml").write_text(
         '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
-        '[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, -2]\n'
+        '[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, -2]\nupright = false\n'
         "material = { roughness = 0.0, transmission = 1.0, base_color = [1.0, 0.5, 1.0] }\n"
     )
     reports = []

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import lumisplat as ls
-from lumisplat.io.files.source import read_text
 
 PROGRAM = ".py"
 """Extension of scene programs."""
@@ -24,7 +23,7 @@ def run_program(path: Path) -> ls.Animation:
     Raises:
         FormatError: The file cannot be read, fails, or defines no animation; the message names the line that failed.
     """
-    read_text(path)
+    _source(path)
     sys.path.insert(0, str(path.resolve().parent))
     try:
         found = runpy.run_path(str(path), run_name="lumisplat_scene").get("animation")
@@ -43,13 +42,20 @@ def run_program(path: Path) -> ls.Animation:
 
 def program_texts(path: Path) -> Iterator[str]:
     """Yields the strings in a program that may be names of files; none if it is no valid Python."""
-    for node in ast.walk(ast.parse(read_text(path))):
+    for node in ast.walk(ast.parse(_source(path))):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value
         elif isinstance(node, ast.Import):
             yield from (f"{alias.name.replace('.', '/')}.py" for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield f"{node.module.replace('.', '/')}.py"
+
+
+def _source(path: Path) -> str:
+    """Returns the text of a program."""
+    from lumisplat.io.files.source import read_text  # imported late: the help must not need NumPy
+
+    return read_text(path)
 
 
 def _line(path: Path, error: BaseException) -> str:
