@@ -44,7 +44,7 @@ def read_arrays(
             members = archive.infolist()
             if names is not None:
                 members = [member for member in members if member.filename.removesuffix(".npy") in names]
-            sizes = [_array_bytes(path, archive, member, compressed) for member in members]
+            sizes = [_array_bytes(archive, member, compressed) for member in members]
             if len({member.filename for member in members}) < len(members):
                 raise ValueError("two arrays of one name")
             stored = os.fstat(file.fileno()).st_size
@@ -55,6 +55,14 @@ def read_arrays(
             return {member.filename.removesuffix(".npy"): _read(archive, member) for member in members}
     except FormatError:
         raise
+    except _HoldsObjectsError as error:
+        if names is None:  # not a file of this kind
+            raise FormatError(path, f"is damaged, or not {kind}") from None
+        raise FormatError(
+            path,
+            f"{error} holds Python objects, which are not read: save it as an array of numbers "
+            f"(a sparse matrix: {error}.item().toarray())",
+        ) from None
     except (*_UNREADABLE, zipfile.BadZipFile, zlib.error):
         raise FormatError(path, f"is damaged, or not {kind}") from None
 
@@ -85,11 +93,15 @@ def checked_array(
     return values
 
 
-def _array_bytes(path: PathLike, archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: bool) -> int:
+class _HoldsObjectsError(ValueError):
+    """An array of an archive holds Python objects; the argument is its name."""
+
+
+def _array_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: bool) -> int:
     """Returns how many bytes of memory one array of an archive will take, computed from its header before reading.
 
     Raises:
-        FormatError: The member holds Python objects; ``path`` is the archive.
+        _HoldsObjectsError: The member holds Python objects.
         ValueError: The member is no array file, is compressed although ``compressed`` is False, or has another size
             than its header states.
     """
@@ -99,12 +111,7 @@ def _array_bytes(path: PathLike, archive: zipfile.ZipFile, member: zipfile.ZipIn
     with archive.open(member) as stream:
         shape, dtype, header = _header(stream)
     if dtype.hasobject:
-        name = member.filename.removesuffix(".npy")
-        raise FormatError(
-            path,
-            f"{name} holds Python objects, which are not read: save it as an array of numbers "
-            f"(a sparse matrix: {name}.item().toarray())",
-        )
+        raise _HoldsObjectsError(member.filename.removesuffix(".npy"))
     size = math.prod(shape) * dtype.itemsize
     if min(shape, default=0) < 0 or header + size != member.file_size:
         raise ValueError("a size that is not that of the array")
