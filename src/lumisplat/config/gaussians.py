@@ -205,8 +205,8 @@ class TraceConfig:
     strategies only the cost depends on k."""
     hit_distance: HitDistance | None = None
     """Distance along a ray at which a Gaussian is hit, by which hits are ordered. ``MEAN`` shows captures as trained;
-    ``PEAK`` orders large, intersecting Gaussians better. None: ``MEAN`` for sets that are shown as captured, ``PEAK``
-    for relit ones."""
+    ``PEAK`` orders large, intersecting Gaussians better, and lets sorted, rasterised frames show the nearer surface
+    where splat sets overlap. None: ``MEAN`` for sets that are shown as captured, ``PEAK`` for relit ones."""
     dilation: Annotated[float, Range(0.0, 10.0)] = DILATION_PX2
     """Variance added to Gaussians that are not antialiased, in squared pixel widths at their distance, as captures are
     trained with it. Camera rays and their reflections have a pixel width; rays of ``trace_rays`` and parallel rays of

@@ -174,7 +174,10 @@ class Renderer:
         """
         others = [*self._scene.modules(plan), *self._film.modules(plan, encodes=encodes)]
         if not plan.is_sampled:
-            return [*self._unlit_raster.modules(has_meshes=plan.has_meshes), *others]
+            return [
+                *self._unlit_raster.modules(has_meshes=plan.has_meshes, merges_sets=plan.merges_sets),
+                *others,
+            ]
         if plan.is_unscented:
             hits = self._unscented.modules(plan)
         elif plan.rasterises:

@@ -7,13 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import lumisplat as ls
 from support.compare.backends import renderer_of
 from support.compare.images import assert_close_outside_band
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import Case, cases
 
 
-@pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
+def merged_cases() -> list[Case]:
+    """Returns all cases, and that of several instances once more, merged by the depths of their surfaces."""
+    by_peaks = ls.config.TraceConfig(hit_distance=ls.config.HitDistance.PEAK)
+    merged = [
+        replace(one, name="merged", config=replace(one.config, trace=by_peaks))
+        for one in cases()
+        if one.name == "instances"
+    ]
+    assert merged
+    return [*cases(), *merged]
+
+
+@pytest.mark.parametrize("case", merged_cases(), ids=lambda case: case.name)
 def test_rasterised_frame_equals_the_float64_reference(case: Case, backend: str) -> None:
     """Every image equals the twin's to float32 precision, except where rounding may flip a decision.
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import RasterConfig
-from lumisplat.constants import ALPHA_MAX, ALPHA_MIN
+from lumisplat.constants import ALPHA_MIN
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 from support.oracles import raster_oracle as raster
@@ -51,45 +51,38 @@ def mean_surface(
         linear: True for depths that are linear in the image; False for the depth of the mean over the whole splat.
     """
     splats = raster.project(scene, camera, config)
-    slopes = depth_slopes(splats, camera) * linear
+    slopes = raster.depth_slopes(splats, camera) * linear
     shape = (camera.height, camera.width)
     share, depth = np.zeros(shape), np.zeros(shape)
     means = np.zeros((*shape, values[0].shape[1] if values else 0))
-    for i, at, weight in weights(splats, raster.rasterize_meshes(scene, camera), camera, config):
-        if splats.instance_index[i] not in counted:
-            continue
+    of_splats = np.zeros((len(splats.depth_z), means.shape[-1]))
+    for number, value in enumerate(values):
+        of_it = splats.instance_index == number
+        of_splats[of_it] = value[splats.gaussian_index[of_it]]
+    for i, at, blended in weights(splats, raster.rasterize_meshes(scene, camera), camera, config):
+        weight = np.where(np.isin(splats.instance_index[i], counted), blended, 0.0)
         share[at] += weight
-        depth[at] += weight * (splats.depth_z[i] + offsets(splats, i, at) @ slopes[i])
-        if values:
-            means[at] += weight[..., None] * values[splats.instance_index[i]][splats.gaussian_index[i]]
+        depth[at] += weight * (splats.depth_z[i] + (offsets(splats, i, at) * slopes[i]).sum(axis=-1))
+        means[at] += weight[..., None] * of_splats[i]
     some = np.maximum(share, 1e-30)
     return MeanSurface(share, depth / some, means / some[..., None])
 
 
-def depth_slopes(splats: raster.Splats, camera: Camera) -> Doubles:
-    """Returns slopes of view depth per pixel to the right and down, (N, 2), by linear regression in each Gaussian."""
-    axes = np.linalg.inv(splats.canonical)
-    in_image = raster.jacobian(splats.mean_camera, camera) @ axes
-    shared = in_image @ axes[:, 2, :, None]
-    return np.asarray(np.linalg.solve(splats.covariance_px, shared)[..., 0], np.float64)
-
-
-def offsets(splats: raster.Splats, i: int, window: Window) -> Doubles:
+def offsets(splats: raster.Splats, i: npt.NDArray[np.int64], window: Window) -> Doubles:
     """Returns pixel centres of a window minus the projected mean of splat ``i``, shape (h, w, 2)."""
-    x = np.arange(window[1].start, window[1].stop) + 0.5 - splats.mean_px[i, 0]
-    y = np.arange(window[0].start, window[0].stop) + 0.5 - splats.mean_px[i, 1]
-    return np.stack(np.meshgrid(x, y), axis=-1)
+    x = np.arange(window[1].start, window[1].stop) + 0.5
+    y = np.arange(window[0].start, window[0].stop) + 0.5
+    return np.stack(np.meshgrid(x, y), axis=-1) - splats.mean_px[i]
 
 
 def weights(
     splats: raster.Splats, fragments: raster.Fragments, camera: Camera, config: RasterConfig
-) -> Iterator[tuple[int, Window, Doubles]]:
-    """Yields each splat, front to back, with its window of pixels and its blend weight there."""
+) -> Iterator[tuple[npt.NDArray[np.int64], Window, Doubles]]:
+    """Yields the splats of `raster_oracle.layers`, with their window of pixels and their blend weight there."""
     transmittance = np.ones((camera.height, camera.width))
     done = np.zeros(transmittance.shape, bool)
-    for i, z in enumerate(splats.depth_z):
-        at = raster.footprint(splats, i, camera)
-        alpha = np.minimum(splats.opacity[i] * raster.response(splats, i, at), ALPHA_MAX)
+    for layer in raster.layers(splats, fragments, camera, merges=True):
+        i, at, alpha, z = layer.i, layer.at, layer.alpha, splats.depth_z[layer.i]
         after = transmittance[at] * (1.0 - alpha)
         reached = ~done[at] & (alpha >= ALPHA_MIN) & (z < fragments.depth_z[at])
         done[at] |= reached & (after <= config.transmittance_min)

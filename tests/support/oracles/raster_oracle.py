@@ -10,11 +10,12 @@ thresholds of alpha or transmittance change the colour by 1/255.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from lumisplat.config import Antialiasing, RasterConfig, RenderConfig
+from lumisplat.config import Antialiasing, HitDistance, RasterConfig, RenderConfig
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, JACOBIAN_CLAMP, NORMAL_DEGENERATE
 from lumisplat.device.gaussian.particle import SURFACE_DEPTH_SCALES
 from lumisplat.device.splat.projection import COVARIANCE_2D_DET_MIN
@@ -43,6 +44,7 @@ class Splats:
     normal: np.ndarray  # (N, 3), world, towards the eye
     gaussian_index: np.ndarray  # (N,)
     instance_index: np.ndarray  # (N,)
+    capture: np.ndarray  # (N,), equal for the instances of one capture
 
 
 @dataclass
@@ -61,7 +63,8 @@ def render(scene: Scene, camera: Camera, config: RenderConfig | None = None) -> 
     config = config or RenderConfig()
     splats = project(scene, camera, config.raster)
     fragments = rasterize_meshes(scene, camera)
-    frame = composite(splats, fragments, camera, config.raster)
+    merges = config.trace.hit_distance is HitDistance.PEAK
+    frame = composite(splats, fragments, camera, config.raster, merges=merges)
     if config.background is not None:
         frame["color"] = frame["color"] + (1.0 - frame["alpha"])[..., None] * np.asarray(config.background)
     return frame
@@ -184,6 +187,7 @@ def project_instance(instance: SplatInstance, number: int, camera: Camera, confi
         normal=normalized(np.einsum("nij,nj->ni", inverse_covariance, to_eye)),
         gaussian_index=kept,
         instance_index=np.full(len(kept), number),
+        capture=np.full(len(kept), id(instance.gaussians)),
     )
     return rows(splats, (np.linalg.det(dilated) > COVARIANCE_2D_DET_MIN) & (opacity >= ALPHA_MIN))
 
@@ -309,7 +313,62 @@ def response(splats: Splats, i: int, window: tuple[slice, slice]) -> np.ndarray:
     return np.exp(-0.5 * (a * x * x + 2.0 * b * x * y + c * y * y))
 
 
-def composite(splats: Splats, fragments: Fragments, camera: Camera, config: RasterConfig) -> dict[str, np.ndarray]:
+def depth_slopes(splats: Splats, camera: Camera) -> np.ndarray:
+    """Returns slopes of view depth per pixel to the right and down, (N, 2), by linear regression in each Gaussian."""
+    axes = np.linalg.inv(splats.canonical)
+    in_image = jacobian(splats.mean_camera, camera) @ axes
+    shared = in_image @ axes[:, 2, :, None]
+    return np.asarray(np.linalg.solve(splats.covariance_px, shared)[..., 0], np.float64)
+
+
+@dataclass
+class Layer:
+    """Splats that a window of pixels blends next: the same one in all pixels, or one for each."""
+
+    i: np.ndarray  # () or (H, W)
+    at: tuple[slice, slice]
+    alpha: np.ndarray  # of the window; 0 where there is no further splat
+    key: np.ndarray  # depth by which captures are merged
+
+
+def layers(splats: Splats, fragments: Fragments, camera: Camera, *, merges: bool) -> Iterator[Layer]:
+    """Yields splats front to back: by means or, if ``merges``, several captures merged by the depths of their surfaces.
+
+    The depth of a capture's surface at a splat is the largest depth at which its splats so far respond most.
+    """
+    count = len(splats.depth_z)
+    found = []
+    for i in range(count):
+        at = footprint(splats, i, camera)
+        alpha = np.minimum(splats.opacity[i] * response(splats, i, at), ALPHA_MAX)
+        found.append(Layer(np.array(i), at, alpha, splats.depth_z[i]))
+    if not merges or len(np.unique(splats.capture)) < 2:
+        yield from found
+        return
+    shape = (count, camera.height, camera.width)
+    alphas, keys = np.zeros(shape), np.full(shape, -1e9)
+    slopes = depth_slopes(splats, camera)
+    for i, layer in enumerate(found):
+        y, x = np.mgrid[layer.at]
+        offset = np.stack([x + 0.5, y + 0.5], axis=-1) - splats.mean_px[i]
+        z = splats.depth_z[i]
+        reciprocal = (z - offset @ slopes[i]) / (z * z)  # linear in the image for flat Gaussians
+        touches = (layer.alpha >= ALPHA_MIN) & (z < fragments.depth_z[layer.at])
+        alphas[i][layer.at] = np.where(layer.alpha >= ALPHA_MIN * (1.0 - BAND), layer.alpha, 0.0)
+        keys[i][layer.at] = np.where(touches, -reciprocal, -1e9)
+    for capture in np.unique(splats.capture):
+        of_it = splats.capture == capture
+        keys[of_it] = np.maximum.accumulate(keys[of_it], axis=0)
+    order = np.argsort(np.where(alphas > 0.0, keys, np.inf), axis=0, kind="stable")
+    everywhere = (slice(0, camera.height), slice(0, camera.width))
+    for rank in range(int((alphas > 0.0).sum(axis=0).max())):
+        i = order[rank : rank + 1]
+        yield Layer(i[0], everywhere, *(np.take_along_axis(values, i, axis=0)[0] for values in (alphas, keys)))
+
+
+def composite(
+    splats: Splats, fragments: Fragments, camera: Camera, config: RasterConfig, *, merges: bool
+) -> dict[str, np.ndarray]:
     """Blends splats front to back, then the mesh behind them."""
     shape = (camera.height, camera.width)
     color, normal, weight = np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape)
@@ -317,9 +376,9 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
     done, band, tie = np.zeros(shape, bool), np.zeros(shape, bool), fragments.band.copy()
     depth_z, gaussian, instance = np.full(shape, np.inf), np.full(shape, -1), np.full(shape, -1)
 
-    for i, z in enumerate(splats.depth_z):
-        at = footprint(splats, i, camera)
-        alpha = np.minimum(splats.opacity[i] * response(splats, i, at), ALPHA_MAX)
+    last_key, last_capture = np.zeros(shape), np.full(shape, -1)
+    for layer in layers(splats, fragments, camera, merges=merges):
+        i, at, alpha, z = layer.i, layer.at, layer.alpha, splats.depth_z[layer.i]
         live = ~done[at]
         touched = live & (alpha > ALPHA_MIN * (1.0 - BAND))
         after = transmittance[at] * (1.0 - alpha)
@@ -328,7 +387,9 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
             | (np.abs(after - config.transmittance_min) < BAND * config.transmittance_min)
             | (np.abs(after - config.depth_iso_transmittance) < BAND * config.depth_iso_transmittance)
         )
-        tie[at] |= touched & (np.minimum(z - last_z[at], np.abs(z - fragments.depth_z[at])) < BAND_DEPTH * z)
+        follows = last_capture[at] == splats.capture[i]
+        gap = np.where(follows, z - last_z[at], np.where(last_capture[at] < 0, np.inf, layer.key - last_key[at]))
+        tie[at] |= touched & (np.minimum(gap, np.abs(z - fragments.depth_z[at])) < BAND_DEPTH * z)
         reached = live & (alpha >= ALPHA_MIN) & (z < fragments.depth_z[at])
         done[at] |= reached & (after <= config.transmittance_min)
         accepted = reached & ~done[at]
@@ -339,6 +400,8 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
         weight[at] += share
         transmittance[at] = np.where(accepted, after, transmittance[at])
         last_z[at] = np.where(accepted, z, last_z[at])
+        last_key[at] = np.where(accepted, layer.key, last_key[at])
+        last_capture[at] = np.where(accepted, splats.capture[i], last_capture[at])
         surface = accepted & (after < config.depth_iso_transmittance) & (gaussian[at] < 0)
         depth_z[at] = np.where(surface, peak_depth(splats, i, camera)[at], depth_z[at])
         gaussian[at] = np.where(surface, splats.gaussian_index[i], gaussian[at])
@@ -365,11 +428,15 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
     }
 
 
-def peak_depth(splats: Splats, i: int, camera: Camera) -> np.ndarray:
-    """Returns the view depth of splat ``i``'s peak on each pixel's ray, within three scales of its mean, (H, W)."""
+def peak_depth(splats: Splats, i: np.ndarray, camera: Camera) -> np.ndarray:
+    """Returns the view depth of the peak of splat ``i``, () or (H, W), on each pixel's ray, (H, W).
+
+    It is within three scales of its mean.
+    """
     rays = pixel_rays(camera)
-    direction = rays @ splats.canonical[i].T
-    z = direction @ (splats.canonical[i] @ splats.mean_camera[i]) / (direction**2).sum(axis=-1)
+    direction = np.einsum("...ij,...j->...i", splats.canonical[i], rays)
+    mean = np.einsum("...ij,...j->...i", splats.canonical[i], splats.mean_camera[i])
+    z = (direction * mean).sum(axis=-1) / (direction**2).sum(axis=-1)
     reach = SURFACE_DEPTH_SCALES * splats.widest[i] / np.linalg.norm(rays, axis=-1)
     return np.maximum(np.clip(z, splats.depth_z[i] - reach, splats.depth_z[i] + reach), camera.near)
 

@@ -258,8 +258,12 @@ class DifferentiableRenderer(Renderer):
         return self._hits
 
     def _plan_of(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
-        """Returns the plan of a frame, whose rays traverse BVHs, because its gradients are found by the same BVHs."""
-        return FramePlan.of(self.config, scene)
+        """Returns the plan of a frame.
+
+        Its rays traverse BVHs, because its gradients are found by the same BVHs. All splats are sorted by their means,
+        because the backward pass walks them in this order.
+        """
+        return replace(FramePlan.of(self.config, scene), merges_sets=False)
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
         """Syncs the scene for a caller's rays. The last frame is dropped: it has no gradients any more."""

@@ -44,7 +44,7 @@ class RasterHits:
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the modules of the kernels that this class launches in a frame."""
         counts = self._is_sorted and "hits" in self._config.aovs
-        modules = self._splats.modules(is_sorted=self._is_sorted, counts=counts)
+        modules = self._splats.modules(is_sorted=self._is_sorted, counts=counts, merges_sets=plan.merges_sets)
         modules += [relit_kernels] if self._is_sorted and plan.mixes_sets else []
         modules += [relit_kernels.MEANS] if plan.has_mean_surface else []
         return [*modules, *self._meshes.modules(has_meshes=plan.has_meshes)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import warp as wp
@@ -15,6 +16,7 @@ from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileR
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits
 from lumisplat.renderer.raster import (
     relit_kernels,
+    set_order_kernels,
     splat_kernels,
 )
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
@@ -69,15 +71,16 @@ class SplatRaster:
         self.settings = buffers.upload("raster.settings", RasterData, raster_table(config))
         """``RasterData`` array with one element: the settings for kernels."""
 
-    def modules(self, *, is_sorted: bool = True, counts: bool = False) -> list[KernelModule]:
+    def modules(self, *, is_sorted: bool = True, counts: bool = False, merges_sets: bool = False) -> list[KernelModule]:
         """Returns the kernel modules for blending splats or, unless ``is_sorted``, for sampling them.
 
-        ``counts`` is as for `find_hits`.
+        ``counts`` is as for `find_hits`. ``merges_sets``: the scene has several splat sets (`FramePlan.merges_sets`).
         """
         by_pixel = splat_kernels.BLOCKS if is_sorted else splat_kernels.PIXELS
         by_tile = splat_kernels.TILES if is_sorted else splat_kernels.SAMPLE_TILES
         modules: list[KernelModule] = [by_pixel if self._launcher.is_parallel else by_tile]
         modules += [splat_kernels.PIXELS] if counts and not self._launcher.is_parallel else []
+        modules += [set_order_kernels] if merges_sets else []
         return [*modules, splat_kernels, *self._binning.modules()]
 
     def project(self, scene: DeviceScene) -> ProjectedSplats:
@@ -221,7 +224,7 @@ class SplatRaster:
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
         """Blends splats by the kernel per pixel (``by_pixel``), per thread block (CUDA) or per tile.
 
-        All kernels give the same result.
+        All kernels give the same result. Pixels where several sets overlap are then blended again.
         """
         inputs = (scene.splat_camera, self.settings, scene.splat_instances, *arguments)
         if by_pixel:
@@ -230,6 +233,22 @@ class SplatRaster:
             self._launcher.run_blocks(splat_kernels.composite_blocks, math.prod(scene.tile_grid), *inputs)
         else:
             self._run_tiles(scene, splat_kernels.composite_tiles, inputs)
+        if scene.plan.merges_sets:
+            self._merge_sets(scene, *arguments)
+
+    def _merge_sets(self, scene: DeviceScene, splats: object, starts: object, items: object, *outputs: object) -> None:
+        """Blends pixels where captures overlap again, in the order of the captures' surfaces."""
+        tiles, get = math.prod(scene.tile_grid), self._buffers.get
+        split = get("raster.tile_streams", set_order_kernels.TileStreams, tiles)
+        streams = get("raster.streams", set_order_kernels.StreamSplat, cast(DeviceArray, items).shape[0])
+        view, instances = (scene.splat_camera, self.settings), scene.splat_instances
+        lists = (splats, starts, items)
+        bands = TILE_BANDS_PER_THREAD * self._launcher.threads
+        inputs = (*view, instances, scene.gaussians, *lists, split, streams)
+        self._launcher.run_banded(set_order_kernels.split_tiles, tiles, *inputs, bands=bands)
+        inputs = (*view, instances, *lists, split, streams, *outputs)
+        pixels = tiles * TILE_PX * TILE_PX
+        self._launcher.run_banded(set_order_kernels.merge_sets, pixels, *inputs, bands=bands)
 
     def _run_pixels(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
         """Runs a kernel with one thread per pixel, tile after tile."""

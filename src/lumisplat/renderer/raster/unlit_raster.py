@@ -59,9 +59,9 @@ class UnlitRaster:
         self.drawn: DrawnSplats | None = None
         """Splats and meshes of the last frame; None before the first frame."""
 
-    def modules(self, *, has_meshes: bool) -> list[KernelModule]:
-        """Returns the kernel modules of scenes with or without meshes."""
-        return [*self._splats.modules(), *self._meshes.modules(has_meshes=has_meshes)]
+    def modules(self, *, has_meshes: bool, merges_sets: bool = False) -> list[KernelModule]:
+        """Returns the kernel modules of scenes with or without meshes, and with one or several splat sets."""
+        return [*self._splats.modules(merges_sets=merges_sets), *self._meshes.modules(has_meshes=has_meshes)]
 
     def draw(self, scene: DeviceScene) -> PixelBuffers[PixelData]:
         """Draws a frame and returns its pixels.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from lumisplat.config import (
     GaussianSurface,
+    HitDistance,
     PathPrimary,
     Pipeline,
     Projection,
@@ -183,6 +184,8 @@ class FramePlan:
     """True if some splat set is relit: it reflects lights and hides its captured colours."""
     mixes_sets: bool
     """True if the scene has both emissive captures and relit sets, whose radiance is accumulated separately."""
+    merges_sets: bool
+    """True if the rasteriser merges several splat sets by the depths of their surfaces in each pixel."""
     has_mean_surface: bool
     """True if the rasteriser averages depth, roughness and metallic over a pixel's relit Gaussians to get the lit
     surface."""
@@ -315,6 +318,7 @@ class FramePlan:
             has_emissive_captures=has_captures,
             relights=relights,
             mixes_sets=is_lit and has_captures and relights and blends_first(config),
+            merges_sets=rasterises and not is_unscented and merges_sets(config, scene, is_lit=is_lit),
             has_mean_surface=is_lit and rasterises and relights and finds_mean_surface(config.raster),
             has_shadow_catchers=is_lit and not is_path and any(instance.shadow_catcher for instance in scene.splats),
             has_receivers=casts_shadows and traces_paths and not is_realtime and adds_to_captures(scene),
@@ -447,6 +451,14 @@ def has_only_opaque_meshes(config: RenderConfig, scene: Scene) -> bool:
 def reflects_light(scene: Scene) -> bool:
     """Returns whether some surface reflects light: a mesh, or a splat set whose material reflects."""
     return bool(scene.meshes) or not all(i.shadow_catcher or emits_capture_only(i) for i in scene.splats)
+
+
+def merges_sets(config: RenderConfig, scene: Scene, *, is_lit: bool) -> bool:
+    """Returns whether sorted splats of several sets are merged by peaks: if rays would sort some set by peaks."""
+    sorts_by_peaks = is_lit and any(is_relit(instance) for instance in scene.splats)
+    if config.trace.hit_distance is not None:
+        sorts_by_peaks = config.trace.hit_distance is not HitDistance.MEAN
+    return sorts_by_peaks and len(scene.splats) > 1 and config.raster.strategy is RasterStrategy.SORTED
 
 
 def finds_mean_surface(raster: RasterConfig) -> bool:
