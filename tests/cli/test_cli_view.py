@@ -13,7 +13,7 @@ import warp as wp
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.cli.output.images import FrameWriter, Layers
+from lumisplat.cli.output.images import FrameWriter, Layers, Views
 from support.files.cli_files import Workspace
 from support.files.image_files import read_image
 from support.scenes.raster_scenes import front_camera
@@ -93,7 +93,11 @@ def test_shadow_view_of_render_is_white_on_lit_surfaces_and_blue_where_no_light_
             ("--aov", "cryptomatte"),
             "--aov cryptomatte needs an EXR",
         ),
-        (("--view", "shadows"), "'shadows'"),
+        (("--view", "shadows"), "--view has 'shadows', did you mean shadow? expected one of normal, depth"),
+        (("--view", "depth,normal"), "insets are drawn on the image: --view color,depth,normal"),
+        (("--view", "color,depth", "--format", "exr"), "--view writes an image in colours, expected .png"),
+        (("--view", "color,depth", "--tiles", "2x2"), "--view and --tiles exclude each other"),
+        (("--insets", "depth,normal"), "--insets is now --view color,depth,normal"),
         (("--aov", "depth,shadow"), "--aov has 'shadow', did you mean shadow_ratio? expected some of depth, normal"),
     ],
 )
@@ -107,10 +111,25 @@ def test_render_refuses_views_and_layers_that_it_cannot_write(work, options, err
 
 def test_view_and_layer_options_of_render_request_the_layers_that_they_need():
     """Each layer is requested once."""
-    assert FrameWriter(Layers.of("depth, albedo,lights").names, None).aovs == ("albedo", "lights")
-    assert FrameWriter((), "shadow").aovs == ("lights",)
-    assert FrameWriter((), "hits").aovs == ("hits",)
-    assert FrameWriter((), "depth").aovs == () and FrameWriter((), None).aovs == ()
+    assert FrameWriter(Layers.of("depth, albedo,lights").names).aovs == ("albedo", "lights")
+    assert FrameWriter((), Views.of("shadow")).aovs == ("lights",)
+    assert FrameWriter((), Views.of("color,hits,shadow")).aovs == ("hits", "lights")
+    assert FrameWriter((), Views.of("depth")).aovs == () and FrameWriter(()).aovs == ()
+
+
+def test_insets_of_render_are_drawn_into_the_lower_right_corner_of_the_image(work):
+    """Elsewhere the image is unchanged; the Python call writes the same file, and refuses other formats."""
+    assert work.run(*ARGS, "--frames", "left", "--view", "color,depth,normal", "-o", "@a.png").status == 0
+    frame = ls.render(mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0], device="cpu")
+    frame.save(work.path("b.png"), insets=("depth", "normal"))
+    frame.save(work.path("plain.png"))
+    shown, same, plain = (read_image(work.path(f"{name}.png"))["srgb"] for name in ("a", "b", "plain"))
+    np.testing.assert_array_equal(shown, same)
+    changed = (shown != plain).any(axis=2)
+    height, width = changed.shape
+    assert changed.any() and not changed[: height // 2].any() and not changed[:, : width // 4].any()
+    with pytest.raises(ls.ConfigError, match="insets can only be drawn on PNG files"):
+        frame.save(work.path("c.exr"), insets="depth")
 
 
 def test_sixteen_bit_depth_image_stores_the_depth_range_that_it_encodes(work):

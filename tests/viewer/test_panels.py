@@ -20,7 +20,7 @@ from lumisplat.io.load_save import USD
 from lumisplat.scene.checks import UNIT_COLOR
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.gizmo import Drag, gizmo_pose, with_dragged_entry
-from lumisplat.viewer.overlays import grid_outline, with_insets
+from lumisplat.viewer.overlays import grid_outline
 from lumisplat.viewer.panels import adding
 from lumisplat.viewer.panels.adding import AddPanel, free_name, light_tables, with_environment_image
 from lumisplat.viewer.panels.buttons import plain
@@ -441,13 +441,14 @@ def test_ground_grid_of_the_viewer_is_horizontal_with_a_power_of_ten_spacing() -
     assert len(outline.lines) == 2 * 7 and np.ptp(points[:, 0]) == pytest.approx(6.0)
 
 
-def test_inset_images_of_the_viewer_cover_only_the_lower_left_corner() -> None:
-    """The framed insets are in the lower left; the rest of the image is unchanged."""
+def test_inset_images_cover_only_the_lower_right_corner() -> None:
+    """The framed insets are in the lower right, side by side; the rest of the image is unchanged."""
     frame = ls.render(ls.Scene(meshes=[ls.box(2.0)]), camera(), device="cpu")
     picture = np.asarray(frame, np.uint8)
-    inset = with_insets(picture, frame)
-    changed = (inset != picture).any(axis=2)
-    assert changed.any() and not changed[:60].any() and not changed[:, 100:].any()
+    changed = (frame.with_insets(("depth", "normal")) != picture).any(axis=2)
+    assert changed.any() and not changed[:60].any() and not changed[:, :60].any() and not changed[:, -8:].any()
+    many = (frame.with_insets(("depth", "normal", "index") * 4, picture) != picture).any(axis=2)
+    assert many[:, :30].any() and not many[:60].any()
 
 
 def test_selection_sphere_encloses_the_selected_object() -> None:

@@ -19,6 +19,7 @@ from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.frame.denoise import check_denoiser, denoised_light
 from lumisplat.frame.encoding import MimeBundle, depth_range, encoded, mime_bundle, mime_type, write_depth_png
 from lumisplat.frame.frame_data import FrameData, unpremultiplied
+from lumisplat.frame.insets import with_insets
 from lumisplat.frame.layers import (
     COUNTS,
     LAYERS,
@@ -30,6 +31,7 @@ from lumisplat.frame.layers import (
     layer_pictures,
     present_layers,
     view_limits,
+    view_names,
     view_picture,
 )
 from lumisplat.frame.mattes import Mattes
@@ -137,6 +139,8 @@ class Frame(FrameData):
         path: str | os.PathLike[str],
         layers: Collection[str] | str | None = None,
         mattes: Mattes | None = None,
+        *,
+        insets: Collection[str] | str = (),
     ) -> None:
         """Writes the frame in the format of the file's extension.
 
@@ -156,10 +160,12 @@ class Frame(FrameData):
                 NPZ has all layers but ``shadow_matte``, whatever is given.
             mattes: Object and material mattes (Cryptomatte) to add to an EXR, one EXR part each, see
                 `lumisplat.layers.render_mattes`.
+            insets: Names from `VIEWS`, as a list or a comma-separated text, that a PNG shows small, side by side, in
+                its lower right corner.
 
         Raises:
-            ConfigError: A name is not a layer, the frame was rendered without the layer, or mattes are given for a
-                format other than EXR.
+            ConfigError: A name is not a layer or view, the frame was rendered without the layer, mattes are given for
+                a format other than EXR, or insets for one other than PNG.
             SceneError: The mattes and the frame differ in size.
             FormatError: The extension is not .png, .exr or .npz, or the file cannot be written.
         """
@@ -171,6 +177,8 @@ class Frame(FrameData):
                 raise SceneError(
                     f"the mattes have {mattes.size} rows and columns, expected the frame's {self.color.shape[:2]}"
                 )
+        if insets and suffix != ".png":
+            raise ConfigError(f"{os.fspath(path)}: insets can only be drawn on PNG files")
         layers = None if layers is None else layer_names(layers)
         if suffix == ".png":
             pictures: dict[str, FloatArray] = {}
@@ -180,7 +188,10 @@ class Frame(FrameData):
                 write_png(Path(path).with_suffix(f".{name}.png"), picture)
             if "depth" in pictures:
                 write_depth_png(Path(path).with_suffix(".depth16.png"), self.depth)
-            write_png(path, self._picture())  # last: if this file exists, all do
+            image = self._picture()
+            if insets:
+                image = self.with_insets(insets, to_bytes(image, path))
+            write_png(path, image)  # last: if this file exists, all do
         elif suffix == ".exr":
             write_exr(path, self.layers(layers), further=() if mattes is None else mattes.parts())
         elif suffix == ".npz":
@@ -232,6 +243,22 @@ class Frame(FrameData):
                 see `NEEDS`.
         """
         return view_picture(self, name, limits)
+
+    def with_insets(
+        self, views: Collection[str] | str, picture: npt.NDArray[np.uint8] | None = None
+    ) -> npt.NDArray[np.uint8]:
+        """Returns the frame's image with views drawn small, side by side, in its lower right corner.
+
+        Args:
+            views: Names from `VIEWS`, as a list or a comma-separated text.
+            picture: sRGB image to draw on, shape (H, W, 3 or 4), of any size; None: that of the PNG.
+
+        Raises:
+            ConfigError: There is no view of one of the names, or the frame was rendered without the layer that it
+                needs.
+        """
+        image = to_bytes(self._picture(), "a frame") if picture is None else picture
+        return with_insets(image, self, view_names(views))
 
     def view_limits(self, name: str) -> tuple[float, float]:
         """Returns the default values at the two ends of a view's colour map. Compare frames with equal limits.

@@ -85,6 +85,20 @@ def layer_names(layers: object) -> tuple[str, ...]:
     return names
 
 
+def view_names(views: object) -> tuple[str, ...]:
+    """Parses names of views from a list or a comma-separated text.
+
+    Raises:
+        ConfigError: ``views`` is neither a list nor a text, or there is no view of one of the names.
+    """
+    names = listed_names(views)
+    if names is None:
+        raise ConfigError(f"insets is {quoted(views)}, expected some of {', '.join(VIEWS)}")
+    for name in names:
+        _check_view(name)
+    return names
+
+
 def check_layer(frame: FrameData, layer: str) -> None:
     """Raises ConfigError unless ``frame`` has the layer."""
     if layer not in LAYERS:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw, ImageOps
+from PIL import Image, ImageDraw
 
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Picture
@@ -22,10 +22,6 @@ _LIGHT_SIZE = 0.03
 _POINT_SIZE = 0.008
 """Radius of the mark at each clicked ground point, as a fraction of the scene size."""
 _INSETS = ("depth", "normal")
-_INSET_SHARE = 0.22
-"""Height of the depth and normal insets as a fraction of the image height."""
-_INSET_GAP = 8
-_INSET_FRAME = (110, 110, 110)
 
 
 def with_overlays(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
@@ -41,7 +37,7 @@ def with_overlays(picture: Picture, frame: ls.Frame, session: Session) -> Pictur
         size = round(picture.shape[1] * options.height / len(picture)), options.height
         picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BILINEAR))
     picture = draw_outlines(picture, frame, outlines)
-    return with_insets(picture, frame) if options.insets and options.view == "color" else picture
+    return frame.with_insets(_INSETS, picture) if options.insets and options.view == "color" else picture
 
 
 def _outlines(session: Session) -> list[Outline]:
@@ -70,18 +66,6 @@ def _grid(session: Session) -> Outline:
     """Returns a grid on the ground plane: perpendicular to the up direction, through the scene's lowest point."""
     extent, up = session.extent, np.array(session.scene.up_direction)
     return grid_outline(np.array(extent.center) - extent.height_below * up, up, 1.5 * extent.size)
-
-
-def with_insets(picture: Picture, frame: ls.Frame) -> Picture:
-    """Returns an image with small framed images of depth and normals in its lower left corner."""
-    height, width = picture.shape[:2]
-    rows, columns = round(_INSET_SHARE * height), round(_INSET_SHARE * width)
-    image = Image.fromarray(picture)
-    for number, view in enumerate(_INSETS):
-        inset = Image.fromarray((255.0 * frame.view(view) + 0.5).astype(np.uint8)).resize((columns, rows))
-        framed = ImageOps.expand(inset, border=1, fill=_INSET_FRAME)
-        image.paste(framed, (_INSET_GAP + number * (framed.width + _INSET_GAP), height - framed.height - _INSET_GAP))
-    return np.asarray(image)
 
 
 Points = npt.NDArray[np.float64]

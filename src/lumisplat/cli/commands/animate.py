@@ -24,7 +24,7 @@ from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_prov
 from lumisplat.cli.output.console import Report, found_light, print_stats, print_table, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_source import FrameSource
-from lumisplat.cli.output.images import check_writable, refuse_standard_output
+from lumisplat.cli.output.images import FrameWriter, Views, check_writable, refuse_standard_output
 
 
 @own_options_first
@@ -58,6 +58,8 @@ class Animate(FrameCommand):
     """Use the camera with this name for all frames."""
     format: Annotated[Literal["png", "exr", "npz"], arg(metavar="png|exr|npz")] = "png"
     """Write frames in this format; a video needs png."""
+    view: Annotated[str, arg(metavar="VIEWS", help_behavior_hint="")] = ""
+    """Draw layers small, in the lower right corner of the frames: color,depth,normal."""
 
     def run(self) -> None:
         """Renders the missing frames, then the video."""
@@ -82,7 +84,13 @@ class Animate(FrameCommand):
             raise ls.FormatError(self.scene, "is no animated scene: expected a scene.toml, OpenUSD, glTF or .py")
         if self.video is not None and self.format != "png":
             raise ls.ConfigError(f"--video needs frames as png, but --format is {self.format}")
-        config = self.frame_config(scene_settings(self.scene if suffix == ".toml" else None))
+        views = Views.of(self.view)
+        if views.main:
+            raise ls.ConfigError(f"--view {self.view}: frames of animations show the image: --view color,{views.main}")
+        if views.insets and self.format != "png":
+            raise ls.ConfigError(f"--view draws insets on frames as png, but --format is {self.format}")
+        base = scene_settings(self.scene if suffix == ".toml" else None)
+        config = self.frame_config(base, {"aovs": (*base.aovs, *views.aovs)})
         check_writable(folder.folder)
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
@@ -100,7 +108,8 @@ class Animate(FrameCommand):
         )
         given = dict(given_settings(self))
         remarks = partial(frame_remarks, config, given=given, light=self.light, device=self.device)
-        maker = _AnimationFrames(animation, cameras, self.frame_source(renderer), folder, remarks=remarks)
+        writer = FrameWriter((), views)
+        maker = _AnimationFrames(animation, cameras, self.frame_source(renderer), folder, writer, remarks=remarks)
         summarise = maker.summarise if self.stats else None
         return FrameJob(frames=frames, render=maker.render, write=maker.write, summarise=summarise)
 
@@ -164,7 +173,7 @@ class Animate(FrameCommand):
             self.scene,
             *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
         ]
-        chosen = ("width", "height", "camera", "drop_invalid")
+        chosen = ("width", "height", "camera", "drop_invalid", "view")
         return {
             "lumisplat": ls.__version__,
             "device": device,
@@ -199,6 +208,7 @@ class _AnimationFrames:
         cameras: Camera of each frame.
         source: Renders the frames.
         folder: Folder of the frames.
+        writer: Writes their images.
         remarks: Returns warnings about the settings; called once, with the scene of the first rendered frame.
     """
 
@@ -208,11 +218,12 @@ class _AnimationFrames:
         cameras: list[ls.Camera],
         source: FrameSource,
         folder: FrameFolder,
+        writer: FrameWriter,
         *,
         remarks: Callable[..., Iterable[str]],
     ) -> None:
         self._animation, self._cameras, self._source = animation, cameras, source
-        self._folder, self._remarks = folder, remarks
+        self._folder, self._writer, self._remarks = folder, writer, remarks
         self._last: int | None = None
         self._lighter: ls.AvatarLighter | None = None
         self._seconds = {"lighting": 0.0, "rendering": 0.0, "writing": 0.0}
@@ -239,7 +250,7 @@ class _AnimationFrames:
     def write(self, frame: ls.Frame, index: int) -> None:
         """Writes a rendered frame to the file of its number, and adds the time to the stage ``writing``."""
         with self._timed("writing"):
-            frame.save(self._folder.path(index))
+            self._writer.write(frame, self._folder.path(index))
 
     def summarise(self, frame: ls.Frame, count: int) -> None:
         """Prints the mean time of ``count`` frames, and the statistics of ``frame``, the last one."""

@@ -37,7 +37,7 @@ from lumisplat.cli.output.images import (
     FrameWriter,
     Layers,
     Shot,
-    ViewName,
+    Views,
     check_writable,
     make_folder,
     plan_shots,
@@ -86,8 +86,8 @@ class Render(ViewsCommand, FrameCommand):
     """Write png, exr or npz; auto follows the output's name; png in a folder."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
     """Write layers too, such as depth,normal,cryptomatte,deep; an unknown name lists all."""
-    view: Annotated[ViewName | None, arg(metavar="VIEW", help_behavior_hint="")] = None
-    """Write a layer in false colours instead of the image: normal, depth, hits ..."""
+    view: Annotated[str, arg(metavar="VIEWS", help_behavior_hint="")] = ""
+    """Write a layer in false colours: normal, depth, hits ...; or insets: color,depth,normal."""
     resume: Flag = False
     """Keep existing images that were rendered with the same settings."""
     tiles: Annotated[str, arg(metavar="GRID", help_behavior_hint="")] = ""
@@ -131,7 +131,7 @@ class Render(ViewsCommand, FrameCommand):
             LumisplatError: An option or a file is wrong.
         """
         refuse_standard_output(self.output)
-        if self.view:
+        if self._views.main:
             raise ls.ConfigError("--view colours all images by the first of a run, so existing ones would not match")
         tiles_text, splits_samples = self._parts
         if tiles_text:
@@ -173,7 +173,7 @@ class Render(ViewsCommand, FrameCommand):
 
     def _open(self, report: Report) -> _ImageJob:
         """Checks options and files, loads the scene, and starts the renderer."""
-        writer = FrameWriter(self._layers.names, self.view)
+        writer = FrameWriter(self._layers.names, self._views)
         base = scene_settings(scene_file(self.scene))
         config = self.frame_config(base, {"aovs": (*base.aovs, *writer.aovs)})
         if config.pipeline.is_sequence and self.samples is not None:
@@ -220,6 +220,7 @@ class Render(ViewsCommand, FrameCommand):
             "--aov deep": layers.deep,
             "--aov cryptomatte": layers.cryptomatte,
             "--denoise": self.light.denoise,
+            "--view": bool(self._views.insets),
         }
         if whole := " and ".join(name for name, is_given in given.items() if is_given):
             raise ls.ConfigError(f"{whole} and --tiles exclude each other: the former needs the whole image")
@@ -227,6 +228,10 @@ class Render(ViewsCommand, FrameCommand):
     @property
     def _layers(self) -> Layers:
         return Layers.of(self.aov)
+
+    @property
+    def _views(self) -> Views:
+        return Views.of(self.view)
 
     @property
     def _parts(self) -> tuple[str, bool]:
@@ -333,7 +338,7 @@ class Render(ViewsCommand, FrameCommand):
         if self._is_one_file and not names:
             cameras = [cameras[index] for index in frame_numbers("--frames", self.frames, len(cameras), self._unit)]
         shots = plan_shots(cameras, names, self.output, self.format)
-        if self.view and shots[0].path.suffix.lower() != ".png":
+        if self._views != Views() and shots[0].path.suffix.lower() != ".png":
             raise ls.ConfigError(f"{shots[0].path}: --view writes an image in colours, expected .png")
         if self._layers.cryptomatte and shots[0].path.suffix.lower() != ".exr":
             raise ls.ConfigError(

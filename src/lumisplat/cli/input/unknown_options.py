@@ -56,6 +56,7 @@ FORMER_OPTIONS = {
     "--cryptomatte": "--aov cryptomatte",
     "--deep": "--aov deep",
     "--frame": "--frames {}",
+    "--insets": "--view color,{}",
     "--lod-budget": "--lod budget={}",
     "--lod-pixels": "--lod pixels={}",
     "--path": "--camera-path {}",

@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import lumisplat as ls
 
@@ -130,11 +129,6 @@ def make_folder(folder: Path) -> None:
         raise ls.FormatError(folder, f"the output folder cannot be made: {error.strerror}") from None
 
 
-ViewName = Literal[
-    "normal", "depth", "index", "shadow", "hits", "transmittance", "direct_diffuse", "indirect_diffuse",
-    "direct_glossy", "indirect_glossy", "emission", "motion", "history", "probes", "cache", "cache_cells",
-]  # fmt: skip
-
 _LEGENDS = {
     "depth": "depth in scene units from {:.4g} (red) to {:.4g} (blue)",
     "motion": "pixels per frame, {:.0f} (white) to {:.0f} (full), red to the right, yellow-green up; unknown: black",
@@ -173,11 +167,46 @@ class Layers:
         return cls(names, "cryptomatte" in given, "deep" in given)
 
 
+@dataclass(frozen=True)
+class Views:
+    """What ``--view`` asks for: a false-colour view in place of the image, or insets on the image."""
+
+    main: str | None = None
+    """View that replaces the image; None: the image itself."""
+    insets: tuple[str, ...] = ()
+    """Views that are drawn small, in the lower right corner of the image."""
+
+    @classmethod
+    def of(cls, text: str) -> Views:
+        """Parses the value of ``--view``: a view, or ``color`` and insets, such as ``color,depth,normal``.
+
+        Raises:
+            ConfigError: A name is not that of a view, or insets follow another view than ``color``.
+        """
+        main, *insets = [name.strip() for name in text.split(",") if name.strip()] or [""]
+        for name in (main, *insets):
+            if name not in ls.Frame.VIEWS and (name != main or name not in ("color", "")):
+                near = difflib.get_close_matches(name, ls.Frame.VIEWS, 1)
+                hint = f", did you mean {near[0]}?" if near else ""
+                raise ls.ConfigError(f"--view has '{name}'{hint or ','} expected one of {', '.join(ls.Frame.VIEWS)}")
+        if insets and main != "color":
+            raise ls.ConfigError(
+                f"--view {text}: insets are drawn on the image: --view color,{main},{','.join(insets)}"
+            )
+        return cls(None if main in ("color", "") else main, tuple(insets))
+
+    @property
+    def aovs(self) -> tuple[str, ...]:
+        """AOVs that `RenderConfig.aovs` must list so that frames contain the views."""
+        return tuple(ls.Frame.NEEDS[name] for name in (self.main or "", *self.insets) if name in ls.Frame.NEEDS)
+
+
 @dataclass
 class FrameWriter:
-    """Writes image files: each frame with its layers, or one false-colour view of each frame.
+    """Writes image files: each frame with its layers and insets, or one false-colour view of each frame.
 
-    The colour scale of a view is set by the first frame, so that colours mean the same in all frames of a run.
+    The colour scale of a view is set by the first frame, so that colours mean the same in all frames of a run. Insets
+    have the scale of their own frame, so that frames of a run can be made apart.
 
     Raises:
         ConfigError: Both a view and layers are given.
@@ -185,21 +214,20 @@ class FrameWriter:
 
     layers: tuple[str, ...]
     """Names of the layers to write besides the colour."""
-    view: ViewName | None
+    views: Views = Views()
     legend: str | None = field(default=None, init=False)
     """Text that explains the colours of the view, or the values of a 16-bit depth PNG; None before a frame has been
     written, or if nothing needs explaining."""
     _limits: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        if self.view and self.layers:
+        if self.views.main and self.layers:
             raise ls.ConfigError("--view and --aov exclude each other: a view replaces the image")
 
     @property
     def aovs(self) -> tuple[str, ...]:
         """AOVs that `RenderConfig.aovs` must list so that frames contain the layers or the view."""
-        names = (*self.layers, self.view or "")
-        return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
+        return (*(ls.Frame.NEEDS[name] for name in self.layers if name in ls.Frame.NEEDS), *self.views.aovs)
 
     def write(self, frame: ls.Frame, path: Path, mattes: ls.layers.Mattes | None = None) -> None:
         """Writes one frame to a file, with its layers, or the false-colour view instead.
@@ -213,15 +241,16 @@ class FrameWriter:
             ConfigError: The frame lacks a layer, or data that the view needs.
             FormatError: The file cannot be written.
         """
-        if self.view is None:
-            frame.save(path, self.layers, mattes)
+        view = self.views.main
+        if view is None:
+            frame.save(path, self.layers, mattes, insets=self.views.insets)
             if "depth" in self.layers and path.suffix.lower() == ".png":
                 self.legend = _depth_legend(path.with_suffix(".depth16.png"), frame, first=self.legend is None)
             return
-        self._limits = self._limits or frame.view_limits(self.view)
-        if self.view in _LEGENDS:
-            self.legend = _LEGENDS[self.view].format(*self._limits)
-        frame.save_view(path, self.view, self._limits)
+        self._limits = self._limits or frame.view_limits(view)
+        if view in _LEGENDS:
+            self.legend = _LEGENDS[view].format(*self._limits)
+        frame.save_view(path, view, self._limits)
 
 
 def _depth_legend(path: Path, frame: ls.Frame, *, first: bool) -> str:
