@@ -208,7 +208,7 @@ AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", 
         (
             lambda: ls.config.RelightConfig(normals=PCA),
             ls.ConfigError,
-            "normals is 'mean', expected 'auto', 'smallest-axis' or 'pca'",
+            "normals is 'mean', expected 'auto', 'smallest-axis', 'pca' or 'smooth'",
         ),
         (lambda: ls.config.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
     ],

@@ -99,6 +99,8 @@ class NormalEstimate(Enum):
     """Thinnest axis of each Gaussian: sharp, but noisy where Gaussians are round."""
     PCA = "pca"
     """Normal of the plane through neighbouring means, weighted by opacity and distance: smooth, but blunt at edges."""
+    SMOOTH = "smooth"
+    """Thinnest axes, averaged over neighbours on the same side: the smoothest, for highlights on captures."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from support.kinds import present
 
 TWO = """o left
 v 0 0 0
@@ -110,3 +111,13 @@ def test_error_for_an_invalid_crop_box_of_a_scene_file_names_its_line(folder: Pa
     """A box without any Gaussian is refused, too."""
     with pytest.raises(ls.FormatError, match=expected):
         load(folder, f'[[splats]]\npath = "row.ply"\n{box}')
+
+
+def test_normals_key_estimates_the_normals_of_a_capture(folder: Path) -> None:
+    """An unknown method is an error at its line; without the key, the capture stores no normals."""
+    entry = '[[splats]]\npath = "row.ply"\n'
+    capture = load(folder, entry + 'normals = "smooth"\n').splats[0].gaussians
+    np.testing.assert_array_equal(present(capture.normals), ls.estimate_normals(capture, "smooth"))
+    assert load(folder, entry).splats[0].gaussians.normals is None
+    with pytest.raises(ls.FormatError, match=r"line 3, splats\[0\]: normals is 'soft', expected 'auto' or"):
+        load(folder, entry + 'normals = "soft"\n')

@@ -57,6 +57,54 @@ def test_normal_layer_of_gaussians_with_stored_normals_is_right_up_to_the_silhou
     assert np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).max() < 26.0
 
 
+def sheet(spread: float) -> ls.Gaussians:
+    """Returns a sheet of overlapping Gaussians that faces `EYE`, with stored normals tilted by ``spread`` radians."""
+    rng, count = np.random.default_rng(3), 6000
+    means = np.column_stack([rng.uniform(-1.2, 1.2, (count, 2)), rng.normal(0.0, 0.01, count)])
+    normals = np.column_stack([spread * rng.normal(size=(count, 2)), np.full(count, -1.0)])
+    wxyz, size = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.full((count, 3), 0.05)
+    white = np.ones((count, 3))
+    return ls.Gaussians(means, wxyz, size, np.full(count, 0.4), flat_sh(white), normals=normals, albedo=white)
+
+
+METAL = ls.MaterialPbr(roughness=0.3, metallic=1.0)
+GLOSS = ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(0, 0, 0), specular=(0.5, 0.5, 0.5), shininess=40.0)
+
+
+@pytest.mark.parametrize("material", [METAL, GLOSS], ids=["pbr", "simple"])
+@pytest.mark.parametrize("spread", [0.0, 0.25])
+def test_highlight_of_gaussians_is_as_wide_as_the_spread_of_their_normals(
+    material: ls.MaterialPbr | ls.MaterialSimple, spread: float
+) -> None:
+    """Blended Gaussians shine as single ones in the mean, which paths show; with equal normals, both are equal."""
+    small = ls.Camera.look_at(EYE, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=16, height=16, fov_y=0.5)
+    config = ls.RenderConfig(lighting=True, shadows=ls.Shadows.OFF, background=None)
+    paths = replace(config, pipeline=ls.Pipeline.PATH, samples=64, max_bounces=0)
+    for degrees in (0.0, 20.0):
+        turn = np.radians(degrees)
+        sun = ls.LightDirectional((np.sin(turn), 0.0, np.cos(turn)), intensity=np.pi)
+        scene = ls.Scene([ls.SplatInstance(sheet(spread), material=material)], lights=[sun])
+        found, expected = (ls.render(scene, small, one, device="cpu").color for one in (config, paths))
+        if spread == 0.0:
+            assert found.mean() == pytest.approx(expected.mean(), rel=0.02)
+        else:
+            assert 0.9 < found.mean() / expected.mean() < 1.6
+            assert found.std() / found.mean() < 0.9 * expected.std() / expected.mean()
+
+
+def test_highlight_of_gaussians_with_roughness_of_their_own_is_not_widened() -> None:
+    """Such roughness was found together with the normals: the highlight is that of the blended normal, brighter."""
+    capture = sheet(0.25)
+    own = replace(capture, roughness=np.full(capture.count, 0.3))
+    sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+    config = ls.RenderConfig(lighting=True, shadows=ls.Shadows.OFF, background=None)
+    widened, kept = (
+        ls.render(ls.Scene([ls.SplatInstance(one, material=material)], lights=[sun]), CAMERA, config, device="cpu")
+        for one, material in ((capture, METAL), (own, replace(METAL, roughness=1.0)))
+    )
+    assert kept.color.mean() > 3.0 * widened.color.mean()
+
+
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_gaussian_ball_lit_from_one_side_is_black_at_the_silhouette_of_the_other_side(pipeline: ls.Pipeline) -> None:
     """If normals at the silhouette were flipped, they would be lit from behind the ball."""

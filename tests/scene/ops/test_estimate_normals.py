@@ -16,7 +16,7 @@ from support.kinds import present
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
 from support.scenes.sphere import unit
 
-AXIS, PLANE = ls.config.NormalEstimate.SMALLEST_AXIS, ls.config.NormalEstimate.PCA
+AXIS, PLANE, SMOOTH = (ls.config.NormalEstimate(name) for name in ("smallest-axis", "pca", "smooth"))
 
 
 def _plate() -> ls.Mesh:
@@ -47,7 +47,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("method", [AXIS, PLANE])
+@pytest.mark.parametrize("method", [AXIS, PLANE, SMOOTH])
 @pytest.mark.parametrize("name", SHAPES)
 def test_estimated_normals_point_outwards_on_convex_and_concave_shapes(
     name: str, method: ls.config.NormalEstimate
@@ -133,7 +133,26 @@ def test_normals_by_plane_fits_are_right_for_spherical_gaussians_on_a_surface() 
     assert np.median(angles[1]) < 3.0
 
 
-@pytest.mark.parametrize("method", [AXIS, PLANE])
+def test_smooth_normals_average_the_noise_of_axes_and_keep_the_sides_of_a_plate() -> None:
+    """Axes that are off by 25 degrees at random give normals within 5 degrees; the sides of a thin plate differ."""
+    for name, inner in (("sphere", 1.0), ("plate", 0.8)):
+        gaussians, truth = bare(SHAPES[name], 4000)
+        half = 0.5 * np.radians(25.0)
+        axis = np.random.default_rng(8).normal(size=(4000, 3))
+        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+        w, x, y, z = gaussians.rotations_wxyz.T.astype(float)
+        own, turn = np.stack([x, y, z], axis=1), np.sin(half) * axis
+        scalar = np.cos(half) * w - (turn * own).sum(axis=1)
+        vector = np.cos(half) * own + w[:, None] * turn + np.cross(turn, own)
+        noisy = replace(gaussians, rotations_wxyz=np.column_stack([scalar, vector]))
+        within = np.abs(gaussians.means[:, [0, 2]]).max(axis=1) < 0.5 * inner
+        rows = within if name == "plate" else np.full(4000, True)
+        for method, low, high in ((AXIS, 15.0, 30.0), (SMOOTH, 0.0, 5.0)):
+            cosine = np.clip(np.einsum("ij,ij->i", ls.estimate_normals(noisy, method), truth), -1.0, 1.0)
+            assert low < np.degrees(np.arccos(np.median(cosine[rows]))) < high
+
+
+@pytest.mark.parametrize("method", [AXIS, PLANE, SMOOTH])
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_single_and_coincident_gaussians_get_unit_normals(method: ls.config.NormalEstimate, count: int) -> None:
     """Even single, isolated or coincident Gaussians get unit normals."""
@@ -157,7 +176,7 @@ def test_estimated_normals_of_a_thin_sheet_all_point_to_the_same_side() -> None:
 
 def test_estimate_normals_refuses_invalid_methods_and_other_objects() -> None:
     """An unknown method and a scene instead of Gaussians are refused."""
-    with pytest.raises(ls.ConfigError, match="method is 'mean', expected 'auto', 'smallest-axis' or 'pca'"):
+    with pytest.raises(ls.ConfigError, match="method is 'mean', expected 'auto', 'smallest-axis', 'pca' or 'smooth'"):
         ls.estimate_normals(one_gaussian(), "mean")
     with pytest.raises(ls.SceneError, match="takes Gaussians, got a Scene"):
         ls.estimate_normals(ls.Scene())  # pyright: ignore[reportArgumentType]

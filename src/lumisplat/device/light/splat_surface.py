@@ -37,6 +37,13 @@ NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 
 ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
+NORMAL_LENGTH_MAX = wp.constant(wp.float32(0.9999))
+"""Length of the mean of a ray's unit normals above which they count as equal: within 1 degree, or one Gaussian only.
+"""
+
+NORMAL_VARIANCE_MAX = wp.constant(wp.float32(0.5))
+"""Largest variance of normals that widens a highlight; there a mirror has roughness 1."""
+
 
 @wp.func
 def sees_environment(i: int, wave: wp.array[WaveData]) -> bool:
@@ -213,6 +220,36 @@ def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp
 
 
 @wp.func
+def normal_length(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
+    """Returns the length of the mean of the unit normals of ray ``i``'s Gaussians, by which they spread.
+
+    It is 1 if all are equal, and for sets with roughness of their own, which was estimated with their normals.
+    """
+    if scene[0].attributes[scene[0].splats[surface.instance].asset].roughness.shape[0] > 0:
+        return 1.0
+    length = wp.length(wave[0].gaussians.normal[i]) / (1.0 - surface.transmittance)
+    return wp.where(length > NORMAL_LENGTH_MAX, 1.0, wp.max(length, NORMAL_MIN))
+
+
+@wp.func
+def normal_variance(length: float) -> float:
+    """Returns the variance of unit normals per axis, radians^2, by the length of their mean (Toksvig 2005)."""
+    return wp.min((1.0 - length) / length, NORMAL_VARIANCE_MAX)
+
+
+@wp.func
+def spread_roughness(roughness: float, length: float) -> float:
+    """Returns the roughness of a highlight that normals with a mean of this ``length`` widen.
+
+    See docs/method/lighting.md#highlights.
+    """
+    if length >= 1.0:
+        return roughness
+    alpha = roughness * roughness
+    return wp.min(wp.sqrt(wp.sqrt(alpha * alpha + 2.0 * normal_variance(length))), 1.0)
+
+
+@wp.func
 def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
     """Returns the world-space point of ray ``i`` at distance ``depth``; if it lies behind the mesh, one just before.
 
@@ -249,9 +286,14 @@ def splat_interaction(
     finish = finish_of(surface.instance, surface.gaussian, scene)
     if surface.is_mean:
         finish = wave[0].gaussians.mean_finish[i]
-    roughness = wp.max(finish[0], ROUGHNESS_MIN)
+    length = normal_length(i, surface, scene, wave)
+    roughness = spread_roughness(wp.max(finish[0], ROUGHNESS_MIN), length)
     eta = index_around(media_of_ray(i, wave), scene[0].mesh_instances) / scene[0].materials[surface.instance].ior
     interaction.bsdf = bsdf_of(scene[0].materials, surface.instance, surface.albedo, roughness, finish[1], 0.0, eta)
+    if interaction.bsdf.model != BSDF_PBR and length < 1.0:
+        shininess = interaction.bsdf.shininess
+        interaction.bsdf.shininess = shininess / (1.0 + 4.0 * normal_variance(length) * shininess)
+        interaction.bsdf.specular = length * interaction.bsdf.specular
     interaction.weight = surface.share
     interaction.occlusion = 1.0
     interaction.shadow_catcher = scene[0].materials[surface.instance].shadow_catcher != 0

@@ -21,6 +21,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from lumisplat.config import NormalEstimate
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import STREAMED_SOG, format_of
 from lumisplat.io.meshes.mesh_arrays import drop_textures_without_uvs
@@ -55,7 +56,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, move_light
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.insertion import lowest
-from lumisplat.scene.ops.normals import smooth_normals
+from lumisplat.scene.ops.normals import estimate_normals, smooth_normals
 from lumisplat.scene.placing import Vector
 from lumisplat.scene.primitives import box, plane, sphere
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -94,6 +95,10 @@ ENTRY_KEYS = {
         ),
         "lod": WHOLE.about("Level of detail of a streamed SOG; 0 (default) is the finest."),
         "lod_budget": WHOLE.about("Loads the finest level of a streamed SOG with at most so many Gaussians."),
+        "normals": TEXT.about(
+            'Estimates normals for its material: `"smallest-axis"`, `"pca"`, or `"smooth"`, for highlights. Default: '
+            "those of the file, else of each Gaussian's shape."
+        ),
         "crop_low": VECTOR.about("Lower corner of a box, file coordinates: Gaussians outside of it are removed."),
         "crop_high": VECTOR.about("Upper corner of that box."),
     },
@@ -115,7 +120,7 @@ ENTRY_KEYS = {
 }
 """Allowed keys of ``[[splats]]`` and ``[[meshes]]`` entries, by heading."""
 
-_CHANGES = ("kernel_degree", "crease_angle_degrees", "crop_low", "crop_high")
+_CHANGES = ("kernel_degree", "crease_angle_degrees", "crop_low", "crop_high", "normals")
 """Keys of an entry that change the loaded capture or mesh itself, unlike its placement and material."""
 
 _Key = tuple[str, ...]
@@ -344,7 +349,7 @@ def _level_arguments(table: TomlTable, file: Path, given: Values) -> dict[str, i
 
 
 def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
-    """Applies the kernel degree, crop box and crease angle of an entry to the assets of its file."""
+    """Applies the kernel degree, crop box, normals and crease angle of an entry to the assets of its file."""
     try:
         if "kernel_degree" in changes:
             degree = changes["kernel_degree"]
@@ -353,6 +358,15 @@ def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
         if "crop_low" in changes or "crop_high" in changes:
             box = _box(table, changes)
             splats = (replace(i, gaussians=crop(i.gaussians, box)) for i in scene.splats)
+            scene = replace(scene, splats=tuple(splats))
+        if "normals" in changes:
+            if changes["normals"] not in (methods := [one.value for one in NormalEstimate]):
+                raise table.wrong("normals", " or ".join(map(repr, methods)))
+            found = [estimate_normals(i.gaussians, changes["normals"]) for i in scene.splats]
+            splats = (
+                replace(i, gaussians=replace(i.gaussians, normals=normals))
+                for i, normals in zip(scene.splats, found, strict=True)
+            )
             scene = replace(scene, splats=tuple(splats))
         if "crease_angle_degrees" in changes:
             angle = np.radians(changes["crease_angle_degrees"])
