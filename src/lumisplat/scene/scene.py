@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import Range
-from lumisplat.config.setting import frozen, given
+from lumisplat.config.setting import Share, frozen, given
 from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, box_text
@@ -56,6 +56,10 @@ class SplatInstance(PlacedInstance):
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = field(default=SH_DEGREE_MAX, kw_only=True)
     """Highest SH degree that is evaluated; the settings of the rasteriser and of the ray tracer may lower it further. A
     lower degree removes view-dependent colour that was baked in."""
+    depth_iso_transmittance: Share | None = field(default=None, kw_only=True)
+    """Transmittance at the capture's surface, which has depth, normal and light: the first Gaussian behind which the
+    transmittance is lower. Lower it for a capture with floaters or fuzz. None: that of `RasterConfig` or `TraceConfig`.
+    """
     shadow_catcher: bool = field(default=False, kw_only=True)
     """Make the capture a shadow catcher: in lit frames it shows its captured colours, darkened where other objects
     block a light. Lights do not brighten the capture, and its own Gaussians do not shadow it. Its ambient light sets

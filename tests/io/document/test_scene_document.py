@@ -248,7 +248,14 @@ def memory_scene() -> ls.Scene:
     return ls.Scene(
         splats=[
             ls.SplatInstance(gaussians, name="a", material=ls.MaterialSimple(ambient=(0.2, 0.3, 0.4), shininess=30.0)),
-            ls.SplatInstance(gaussians, position=(5.0, 0.0, 0.0), shadow_catcher=True, sh_degree=1, name="b"),
+            ls.SplatInstance(
+                gaussians,
+                position=(5.0, 0.0, 0.0),
+                shadow_catcher=True,
+                sh_degree=1,
+                depth_iso_transmittance=0.5,
+                name="b",
+            ),
         ],
         meshes=[ls.MeshInstance(square, position=(0, 0, 4), scale_by=0.25), ls.MeshInstance(square, shear)],
         lights=lights,

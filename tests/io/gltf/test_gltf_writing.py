@@ -117,7 +117,7 @@ def test_captures_used_twice_are_written_to_gltf_once(path: Path) -> None:
     placed[3, 3] = 1.0
     scene = ls.Scene(
         splats=[
-            ls.SplatInstance(given, name="a", material=material, sh_degree=1),
+            ls.SplatInstance(given, name="a", material=material, sh_degree=1, depth_iso_transmittance=0.25),
             ls.SplatInstance(given, placed, name="b", material=simple, shadow_catcher=True),
         ]
     )
@@ -126,6 +126,7 @@ def test_captures_used_twice_are_written_to_gltf_once(path: Path) -> None:
     first, second = read.splats
     assert (first.name, second.name) == ("a", "b")
     assert (first.sh_degree, second.sh_degree, second.shadow_catcher) == (1, 3, True)
+    assert (first.depth_iso_transmittance, second.depth_iso_transmittance) == (0.25, None)
     for field in fields(material):
         assert getattr(first.material, field.name) == getattr(material, field.name)
     assert expect_kind(ls.MaterialSimple, second.material).ambient == (0.5, 0.5, 0.5)

@@ -123,7 +123,7 @@ def test_all_features_of_a_scene_lost_in_usd_are_named_in_one_log_line(
     (line,) = [record.getMessage() for record in caplog.records]
     for remark in (
         "relighting of captures, which only Lumisplat reads (relit)",
-        "shadow_catcher and sh_degree of captures, which only Lumisplat reads (relit)",
+        "shadow_catcher, sh_degree and depth_iso_transmittance of captures, which only Lumisplat reads (relit)",
         "vertex colours of textured meshes (textures)",
         "the range of lights (bulb)",
         "lights that cameras do not see (visible = false) (ball, sky, disk)",

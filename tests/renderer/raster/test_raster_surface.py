@@ -47,6 +47,33 @@ def test_iso_opacity_surface_is_the_layer_that_lowers_transmittance_below_the_th
     assert frame.depth[CENTRE] == pytest.approx(4.0)
 
 
+@pytest.mark.parametrize("projection", [*ls.config.Projection, None], ids=["ewa", "unscented", "rays"])
+@pytest.mark.parametrize(
+    ("own", "instance", "gaussian"),
+    [((None, None), 0, 0), ((0.3, None), 1, 0), ((0.1, 0.35), 1, 1), ((0.3, 0.1), 0, 1)],
+)
+def test_surface_is_the_first_gaussian_behind_which_transmittance_is_below_that_of_its_set(
+    backend: str,
+    own: tuple[float | None, float | None],
+    instance: int,
+    gaussian: int,
+    projection: ls.config.Projection | None,
+) -> None:
+    """The layers of two sets alternate; behind them, transmittance is 0.5, 0.4, 0.2 and 0.02."""
+    sets = [((3.0, 0.5), (5.0, 0.5)), ((4.0, 0.2), (6.0, 0.9))]
+    splats = [
+        ls.SplatInstance(
+            joined(*(one_gaussian((0.0, 0.0, z), 0.5, opacity) for z, opacity in layers)), depth_iso_transmittance=iso
+        )
+        for layers, iso in zip(sets, own, strict=True)
+    ]
+    pipeline = ls.Pipeline.TRACE if projection is None else ls.Pipeline.RASTER
+    raster = ls.RasterConfig(projection=projection or ls.config.Projection.EWA)
+    frame = renderer_of(backend, ls.RenderConfig(pipeline=pipeline, raster=raster)).render(ls.Scene(splats), camera())
+    assert (frame.instance_index[CENTRE], frame.gaussian_index[CENTRE]) == (instance, gaussian)
+    assert frame.depth[CENTRE] == pytest.approx(sets[instance][gaussian][0], rel=1e-3)
+
+
 @pytest.mark.parametrize(("threshold", "index"), [(1.0, 0), (0.7, 1), (0.6, 2), (0.0, -1)])
 def test_higher_iso_opacity_threshold_selects_a_nearer_layer_as_the_surface(
     backend: str, threshold: float, index: int

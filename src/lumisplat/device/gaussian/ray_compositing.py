@@ -7,9 +7,9 @@ import warp as wp
 
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.math.random import draw
-from lumisplat.device.splat.blending import begin_relit, empty_pixel, instance_of, lay_behind
+from lumisplat.device.splat.blending import begin_relit, empty_pixel, instance_of, iso_of, lay_behind
 from lumisplat.device.splat.projection import BEYOND_MAX, tinted, towards
-from lumisplat.device.structs.bvh import SceneBvh, TraceData
+from lumisplat.device.structs.bvh import STRATEGY_HIT, SceneBvh, TraceData
 from lumisplat.device.structs.raster import BlendState
 from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
@@ -53,6 +53,15 @@ def facing_normal(instance: SplatInstanceData, gaussians: GaussianData, i: int, 
 
 
 @wp.func
+def hit_iso(pixel: BlendState, view: TraceData, scene: SceneBvh, index: int) -> float:
+    """Returns the transmittance at the surface of Gaussian ``index``'s instance, if the ray has no surface yet."""
+    iso = view.depth_iso_transmittance
+    if pixel.surface >= 0 or view.strategy == STRATEGY_HIT:
+        return iso
+    return iso_of(scene.instances, index, iso)
+
+
+@wp.func
 def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, index: int, alpha: float) -> BlendState:
     """Blends Gaussian ``index``, counted over all splat instances, behind those that a ray has already blended.
 
@@ -62,7 +71,7 @@ def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, ind
     if scene.eye_normals:
         facing = scene.eye_normals[index]
         if wp.length_sq(facing) > 0.0:
-            return lay_behind(pixel, scene.eye_colors[index], facing, index, alpha, view.depth_iso_transmittance)
+            return lay_behind(pixel, scene.eye_colors[index], facing, index, alpha, hit_iso(pixel, view, scene, index))
     number = instance_of(scene.instances, index)
     instance = scene.instances[number]
     i = index - instance.first
@@ -83,7 +92,7 @@ def blend_hit(pixel: BlendState, view: TraceData, scene: SceneBvh, ray: Ray, ind
         normal = instance.world_from_object * ellipsoid_normal(instance, gaussians, i, origin, direction, ray)
     else:
         normal = facing_normal(instance, gaussians, i, eye)
-    return lay_behind(pixel, color, normal, index, alpha, view.depth_iso_transmittance)
+    return lay_behind(pixel, color, normal, index, alpha, hit_iso(pixel, view, scene, index))
 
 
 @wp.func

@@ -54,11 +54,23 @@ def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
 
 
 @wp.func
+def own_iso(instance: SplatInstanceData, iso: float) -> float:
+    """Returns the transmittance at the surface of an instance's Gaussians; ``iso`` is that of the settings."""
+    return wp.where(instance.depth_iso_transmittance >= 0.0, instance.depth_iso_transmittance, iso)
+
+
+@wp.func
+def iso_of(instances: wp.array[SplatInstanceData], index: int, iso: float) -> float:
+    """Returns the transmittance at the surface of Gaussian ``index``'s instance; ``iso`` is that of the settings."""
+    own = instances[instance_of(instances, index)].depth_iso_transmittance
+    return wp.where(own >= 0.0, own, iso)
+
+
+@wp.func
 def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> BlendState:
     """Blends a Gaussian of the given ``alpha`` behind the Gaussians that the pixel has already blended.
 
-    ``index`` becomes the pixel's surface if the Gaussian takes the transmittance from at least ``iso`` to below
-    ``iso``.
+    ``index`` becomes the pixel's surface if the pixel has none, and the transmittance is below ``iso`` behind it.
     """
     before = pixel.transmittance
     weight = before * alpha
@@ -67,7 +79,7 @@ def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, a
     pixel.normal += weight * normal
     pixel.transmittance = after
     pixel.hits += 1
-    if before >= iso and after < iso:
+    if pixel.surface < 0 and after < iso:
         pixel.surface = index
     if pixel.first < 0:
         pixel.first = index
@@ -99,13 +111,12 @@ def left_behind(before: float, after: float, transmittance_min: float) -> float:
 
 
 @wp.func
-def to_surface(before: float, after: float, iso: float, index: int) -> int:
-    """Returns ``index + 1`` if a splat takes the transmittance below ``iso``, else 0, to add to a surface index of -1.
+def to_surface(surface: int, after: float, iso: float, index: int) -> int:
+    """Returns ``index + 1``, to add to a ``surface`` of 0, if a splat takes the transmittance below ``iso``; else 0.
 
-    Adding replaces a selection, which compilers turn into a masked store that is slow on some CPUs. It works because
-    only one splat of a pixel crosses ``iso``.
+    Adding replaces a selection, which compilers turn into a masked store that is slow on some CPUs.
     """
-    return wp.where(wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0) > 0.0, index + 1, 0)
+    return wp.where(wp.where(surface == 0, wp.where(after < iso, after, -1.0), -1.0) > 0.0, index + 1, 0)
 
 
 @wp.func

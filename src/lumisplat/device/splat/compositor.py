@@ -155,6 +155,8 @@ class TileVisitor(NamedTuple):
     """``(pixels, i, view, tile, x, y, settings, arrays)``: stores the result of pixel i after the tile's last splat."""
     is_sorted: bool = True
     """True: splats come sorted by depth, so that the tile ends at the first splat hidden in all pixels."""
+    settings_of: Any = None
+    """``(settings, arrays, splat) -> settings``: returns the settings with which a splat is visited; None: the same."""
     prefetch: Any = None
     """``(arrays, view, tile, index)``: called for all splats of a batch before they are visited; None: nothing is
     called. It prefetches what ``end_splat`` writes, so that scattered accesses do not wait for each other."""
@@ -175,6 +177,12 @@ def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileF
     return farthest
 
 
+@wp.func
+def same_settings(settings: Any, arrays: Any, splat: Any) -> Any:
+    """Returns ``settings``: all splats are visited with the same ones."""
+    return settings
+
+
 def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
     """Builds the CPU compositor of a tile: a function that calls ``visitor`` for each splat at each of its pixels."""
     Settings, Splat, PixelLimits, Tile = footprint.settings, footprint.splat, footprint.pixel_limits, footprint.tile
@@ -183,6 +191,7 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
     touches_strip, at_pixel = footprint.touches_strip, footprint.at_pixel
     begin_pixel, visit, end_pixel = visitor.begin_pixel, visitor.visit, visitor.end_pixel
     end_splat, pass_by = visitor.end_splat, visitor.pass_by
+    settings_of = visitor.settings_of or same_settings
     PREFETCHES, prefetch = visitor.prefetch is not None, visitor.prefetch or pass_by
 
     @wp.func
@@ -237,6 +246,7 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
                     prefetch(arrays, view, tile, tile_splats[j])
             for j in range(begin, visible):
                 splat = splats[tile_splats[j]]
+                own = settings_of(settings, arrays, splat)
                 sums = Sums()
                 covered = rows_of(splat, top, rows)
                 for y in range(covered[0], covered[1]):
@@ -249,7 +259,7 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
                         for x in range(STRIP):
                             i = y * TILE + strip * STRIP + x
                             at = at_pixel(splat, row, limits, i, strip * STRIP + x)
-                            visit(pixels, sums, splat, at, i, x, settings)
+                            visit(pixels, sums, splat, at, i, x, own)
                 end_splat(arrays, view, tile, splat, sums)
             is_cut = visible < wp.min(begin + BATCH, end)
             begin = visible

@@ -7,6 +7,7 @@ import warp as wp
 
 from lumisplat.device.camera.camera import FISHEYE, pixel_at_row_time, rotated, row_time, view_at
 from lumisplat.device.camera.pixels import STRIP, TILE, TileFloats, float_at, ray_index, set_at
+from lumisplat.device.splat.blending import own_iso
 from lumisplat.device.splat.compositor import Footprint
 from lumisplat.device.splat.projection import (
     LOG_ALPHA_MIN,
@@ -97,6 +98,7 @@ def ray_splat(
     """Prepares Gaussian ``i`` of an instance for evaluation along rays; its box is empty if no pixel shows it."""
     splat = RaySplat()
     splat.index = instance.first + i
+    splat.iso = own_iso(instance, raster.depth_iso_transmittance)
     opacity = gaussians.opacities[i]
     if not opacity >= OPACITY_MIN:
         return splat

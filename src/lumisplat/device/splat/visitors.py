@@ -31,6 +31,7 @@ from lumisplat.device.splat.blending import (
     add_relit,
     behind_pixel,
     blend,
+    iso_of,
     left_behind,
     opaque_pixel,
     store_gaussian_hits,
@@ -100,7 +101,7 @@ def blend_at(
     add_at(pixels.normal_y, i, weight * normal[1])
     add_at(pixels.normal_z, i, weight * normal[2])
     after = left_behind(before, after, t_min)
-    add_int_at(pixels.surface, i, to_surface(before, after, iso, index))
+    add_int_at(pixels.surface, i, to_surface(int_at(pixels.surface, i), after, iso, index))
     set_at(pixels.transmittance, i, after)
     return weight
 
@@ -136,6 +137,13 @@ def begin_ellipses(
     pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: EllipseColors
 ):
     """Does nothing: before its first splat, a pixel's blending state is already empty."""
+
+
+@wp.func
+def ellipse_settings(settings: RasterData, arrays: EllipseColors, splat: Splat) -> RasterData:
+    """Returns the settings with the transmittance at the surface of the splat's own instance."""
+    settings.depth_iso_transmittance = iso_of(arrays.instances, splat.index, settings.depth_iso_transmittance)
+    return settings
 
 
 @wp.func
@@ -205,6 +213,7 @@ ELLIPSE_COLORS = TileVisitor(
     end_splat=end_ellipse,
     pass_by=pass_ellipse,
     end_pixel=store_ellipses,
+    settings_of=ellipse_settings,
 )
 
 
@@ -225,8 +234,7 @@ def blend_along_ray(
 ):
     """Blends a Gaussian, evaluated along the ray of pixel ``i``."""
     t_min = settings.transmittance_min
-    iso = settings.depth_iso_transmittance
-    weight = blend_at(pixels, i, splat.color, splat.normal, splat.index, at.alpha, t_min, iso)
+    weight = blend_at(pixels, i, splat.color, splat.normal, splat.index, at.alpha, t_min, splat.iso)
     is_first = wp.where(weight > 0.0, wp.where(int_at(pixels.first, i) == 0, 1, 0), 0)
     add_int_at(pixels.first, i, wp.where(is_first != 0, splat.index + 1, 0))
 
@@ -579,6 +587,13 @@ class NoArrays:
     unused: int
 
 
+@struct
+class SplatInstances:
+    """The splat instances of the scene."""
+
+    instances: wp.array[SplatInstanceData]
+
+
 @wp.func
 def wants_all(pixel: BlendState, splat: Any) -> bool:
     """Returns True: blending needs every splat of the pixel."""
@@ -587,11 +602,14 @@ def wants_all(pixel: BlendState, splat: Any) -> bool:
 
 @wp.func
 def blend_ellipse_at_pixel(
-    pixel: wp.ref[BlendState], splat: Splat, log_alpha: float, settings: RasterData, arrays: NoArrays
+    pixel: wp.ref[BlendState], splat: Splat, log_alpha: float, settings: RasterData, arrays: SplatInstances
 ):
     """Blends a splat, evaluated as an ellipse, behind those that the pixel has already blended."""
     alpha = alpha_from_log(log_alpha)
-    pixel = blend(pixel, splat, alpha, settings.transmittance_min, settings.depth_iso_transmittance)
+    iso = settings.depth_iso_transmittance
+    if pixel.surface < 0:
+        iso = iso_of(arrays.instances, splat.index, iso)
+    pixel = blend(pixel, splat, alpha, settings.transmittance_min, iso)
 
 
 @struct
@@ -609,7 +627,7 @@ def blend_at_ray(
 ):
     """Blends a Gaussian behind those that the ray of a pixel has already blended."""
     alpha = alpha_from_log(log_alpha)
-    blended = blend(pixel, splat, alpha, settings.transmittance_min, settings.depth_iso_transmittance)
+    blended = blend(pixel, splat, alpha, settings.transmittance_min, splat.iso)
     if relit.hits.relit_weight and blended.transmittance > 0.0:
         add_relit(relit.hits, relit.ray, relit.instances, pixel, blended, splat.index)
     pixel = blended
@@ -646,7 +664,7 @@ def draw_sample(sample: wp.ref[Sample], splat: Splat, log_alpha: float, settings
         sample.winner = splat.index
 
 
-ELLIPSE_COLOR = PixelVisitor(BlendState, NoArrays, wants_all, blend_ellipse_at_pixel, ends_by_depth=True)
+ELLIPSE_COLOR = PixelVisitor(BlendState, SplatInstances, wants_all, blend_ellipse_at_pixel, ends_by_depth=True)
 
 RAY_COLOR = PixelVisitor(BlendState, RelitHits, wants_all, blend_at_ray, ends_by_depth=False)
 

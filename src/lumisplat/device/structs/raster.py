@@ -172,7 +172,7 @@ class PixelBox:
 
 @struct
 class RaySplat:
-    """A Gaussian prepared for evaluation along pixel rays, 104 bytes."""
+    """A Gaussian prepared for evaluation along pixel rays, 108 bytes."""
 
     canonical_from_world: wp.mat33
     """Linear map from world space to the space where the Gaussian, widened by a pixel's footprint, is a unit sphere."""
@@ -189,6 +189,8 @@ class RaySplat:
     """Unit normal of the Gaussian, world space, towards the viewer."""
     index: int
     """Index of the Gaussian, counted over all splat instances of the scene."""
+    iso: float
+    """Transmittance at the surface of the Gaussian's instance."""
     box: PixelBox
     """Rectangle of pixels outside which the Gaussian's alpha is below 1/255."""
 

@@ -86,6 +86,8 @@ class SplatInstanceData:
     shadow_catcher: int
     """1: the instance is a shadow catcher. Shadow rays that start at any shadow catcher pass all shadow catchers
     unblocked."""
+    depth_iso_transmittance: float
+    """Transmittance at the surface of the instance's Gaussians; negative: that of the settings."""
     relit: int
     """1: the instance shows only light that it reflects or emits by its material, and none of its captured colour."""
 

@@ -138,6 +138,8 @@ def _splat_table(memory: MemoryEntries, splat: SplatInstance, paths: dict[int, s
         table["material"] = material_table(splat.material)
     if splat.sh_degree != SplatInstance(splat.gaussians).sh_degree:
         table["sh_degree"] = splat.sh_degree
+    if splat.depth_iso_transmittance is not None:
+        table["depth_iso_transmittance"] = splat.depth_iso_transmittance
     return table | ({"shadow_catcher": True} if splat.shadow_catcher else {})
 
 

@@ -218,7 +218,7 @@ _MATERIALS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": Materi
 _MESH_ONLY_SUFFIXES = ("_texture", "_wraps", "wrap_u", "wrap_v", "alpha_mode")
 """Endings of the names of material fields that apply to meshes only and are not stored for captures."""
 LIGHT_EXTRAS = ("radius", "angle", "casts_shadow", "shadow_distance")
-INSTANCE_EXTRAS = ("sh_degree", "shadow_catcher")
+INSTANCE_EXTRAS = ("sh_degree", "depth_iso_transmittance", "shadow_catcher")
 CAMERA_EXTRAS = ("width", "height", "exposure", "aperture", "focus_distance")
 
 

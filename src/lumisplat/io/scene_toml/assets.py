@@ -90,6 +90,10 @@ ENTRY_KEYS = {
             "Kernel that the capture was trained with, 0 to 5. Default: that of the file, else 2 (Gaussian)."
         ),
         "sh_degree": WHOLE.about("Highest SH degree of its colours, 0 to 3; lower ones remove captured highlights."),
+        "depth_iso_transmittance": NUMBER.about(
+            "Transmittance at its surface, which is lit, 0 to 1; lower it past floaters and fuzz. Default: that of the "
+            "render settings, 0.7."
+        ),
         "shadow_catcher": FLAG.about(
             "Keeps the capture as captured, but for the shadows of other objects. Default: false."
         ),
@@ -119,6 +123,9 @@ ENTRY_KEYS = {
     },
 }
 """Allowed keys of ``[[splats]]`` and ``[[meshes]]`` entries, by heading."""
+
+INSTANCE_KEYS = ("sh_degree", "depth_iso_transmittance", "shadow_catcher")
+"""Keys of a ``[[splats]]`` entry that are fields of `SplatInstance`."""
 
 _CHANGES = ("kernel_degree", "crease_angle_degrees", "crop_low", "crop_high", "normals")
 """Keys of an entry that change the loaded capture or mesh itself, unlike its placement and material."""
@@ -180,7 +187,7 @@ class Assets:
         """Reads an entry of ``[[splats]]`` and places its captures in the world."""
         given, world_from_file = _read_entry(table, "splats", self.up)
         assets = self._assets(table, "splats", given)
-        settings = {key: given[key] for key in ("sh_degree", "shadow_catcher") if key in given}
+        settings = {key: given[key] for key in INSTANCE_KEYS if key in given}
         try:
             splats = [
                 replace(

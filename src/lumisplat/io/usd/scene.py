@@ -83,9 +83,10 @@ def _holds_one_capture(path: Path) -> bool:
 
 
 def _settings(prim: Any) -> dict[str, Any]:
-    """Returns ``sh_degree`` and ``shadow_catcher`` from a prim's customData, if Lumisplat wrote them; else empty."""
+    """Returns the settings of a `SplatInstance` from a prim's customData, if Lumisplat wrote them; else empty."""
     custom_data = with_current_keys(custom_data_of(prim))
-    return {name: custom_data[name] for name in ("sh_degree", "shadow_catcher") if name in custom_data}
+    names = ("sh_degree", "depth_iso_transmittance", "shadow_catcher")
+    return {name: custom_data[name] for name in names if name in custom_data}
 
 
 def transform_time_codes(prim: Any) -> Doubles:

@@ -98,7 +98,7 @@ class AssetWriter:
 
     writer: StageWriter
     materials: MaterialWriter
-    _prototypes: dict[tuple[int, int, int], str] = field(default_factory=dict[tuple[int, int, int], str])
+    _prototypes: dict[tuple[Any, ...], str] = field(default_factory=dict[tuple[Any, ...], str])
 
     def write(self, instances: Sequence[Instance]) -> None:
         """Writes captures and meshes with their transforms to the world."""
@@ -128,10 +128,15 @@ class AssetWriter:
         if instance.material is not None:
             self.materials.bind(prim, instance.material, on_splats=True)
             self.writer.remarks.add("relighting of captures, which only Lumisplat reads", instance.name)
-        if instance.shadow_catcher or instance.sh_degree < SH_DEGREE_MAX:
-            self.writer.set_custom_data(prim, shadow_catcher=instance.shadow_catcher, sh_degree=instance.sh_degree)
+        iso = instance.depth_iso_transmittance
+        if instance.shadow_catcher or instance.sh_degree < SH_DEGREE_MAX or iso is not None:
+            own = {} if iso is None else {"depth_iso_transmittance": iso}
+            self.writer.set_custom_data(
+                prim, shadow_catcher=instance.shadow_catcher, sh_degree=instance.sh_degree, **own
+            )
             self.writer.remarks.add(
-                "shadow_catcher and sh_degree of captures, which only Lumisplat reads", instance.name
+                "shadow_catcher, sh_degree and depth_iso_transmittance of captures, which only Lumisplat reads",
+                instance.name,
             )
         return prim
 
@@ -155,11 +160,12 @@ def _name(instance: Instance) -> str:
     return (instance.mesh.name if isinstance(instance, MeshInstance) else instance.name) or "asset"
 
 
-def _key(instance: Instance) -> tuple[int, int, int]:
+def _key(instance: Instance) -> tuple[Any, ...]:
     """Returns the asset's id, the material's id and the settings of an instance. Equal keys share a USD prototype."""
     if isinstance(instance, MeshInstance):
         return id(instance.mesh), 0, int(instance.shadow_catcher)
-    return id(instance.gaussians), id(instance.material), instance.sh_degree + 4 * instance.shadow_catcher
+    own = (instance.sh_degree, instance.shadow_catcher, instance.depth_iso_transmittance)
+    return id(instance.gaussians), id(instance.material), own
 
 
 def _define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:

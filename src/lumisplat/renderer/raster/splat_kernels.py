@@ -22,6 +22,7 @@ from lumisplat.device.splat.blending import (
     blend,
     empty_pixel,
     instance_of,
+    iso_of,
     opaque_pixel,
     pixel_ray,
     store_gaussian_hits,
@@ -48,6 +49,7 @@ from lumisplat.device.splat.visitors import (
     NoArrays,
     Sample,
     SampleArrays,
+    SplatInstances,
 )
 from lumisplat.device.structs.camera import CameraData, PixelData, SampleData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
@@ -256,7 +258,10 @@ def composite_blocks(
             if log_alpha >= LOG_ALPHA_MIN:
                 if near.depth < seen.limit_z:
                     alpha = alpha_from_log(log_alpha)
-                    pixel = blend(pixel, near, alpha, raster.transmittance_min, raster.depth_iso_transmittance)
+                    iso = raster.depth_iso_transmittance
+                    if pixel.surface < 0:
+                        iso = iso_of(instances, near.index, iso)
+                    pixel = blend(pixel, near, alpha, raster.transmittance_min, iso)
                 if pixel.transmittance <= 0.0 or near.depth >= seen.limit_z:
                     pixel.transmittance = -wp.abs(pixel.transmittance)
                     j = count
@@ -301,7 +306,9 @@ def composite_pixels(
         return
     pixel = empty_pixel()
     seen = pixel_at(view, meshes, at[0], at[1])
-    blend_pixel(i // TILE_PIXELS, seen, raster, splats, tile_starts, tile_splats, pixel, NoArrays())
+    arrays = SplatInstances()
+    arrays.instances = instances
+    blend_pixel(i // TILE_PIXELS, seen, raster, splats, tile_starts, tile_splats, pixel, arrays)
     store_result(view, raster, instances, splats, meshes, pixel, at[0], at[1], for_rays, pixels_out, hits_out)
 
 

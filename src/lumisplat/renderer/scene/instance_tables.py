@@ -72,6 +72,8 @@ def splat_instance_table(
     table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
     table["asset"] = [asset_index[id(instance.gaussians)] for instance in scene.splats]
     table["sh_degree"] = [instance.sh_degree for instance in scene.splats]
+    own = (instance.depth_iso_transmittance for instance in scene.splats)
+    table["depth_iso_transmittance"] = [-1.0 if iso is None else iso for iso in own]
     table["shadow_catcher"] = [instance.shadow_catcher for instance in scene.splats]
     table["relit"] = [is_lit and is_relit(instance) for instance in scene.splats]
     for name, values in shading_overrides(scene, is_lit).items():

@@ -417,8 +417,8 @@ def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> L
     transforms = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
     transforms += [(id(instance.gaussians), instance.transform.tobytes()) for instance in emitters]
     materials = [instance.material for instance in scene.splats] + [instance.mesh.material for instance in scene.meshes]
-    shown = [(instance.sh_degree, instance.shadow_catcher) for instance in scene.splats]
-    shown += [(-1, instance.shadow_catcher) for instance in scene.meshes]
+    shown = [(one.sh_degree, one.shadow_catcher, one.depth_iso_transmittance) for one in scene.splats]
+    shown += [(-1, instance.shadow_catcher, None) for instance in scene.meshes]
     return LightState(sources, scene.lights, [lights, transforms], materials, [asset_transforms(scene), shown])
 
 

@@ -52,6 +52,13 @@ _CLOCK = (
     Setting("time_of_day", "number", "Hours on the clock, in the time zone of the scene file.", range=Range(0.0, 24.0)),
 )
 """Fields shown for daylight in place of its time."""
+_ISO = Setting(
+    "depth_iso_transmittance",
+    "number",
+    "Transmittance at the surface of the capture, which is lit; lower it past floaters and fuzz.",
+    range=Range(0.0, 1.0),
+    is_optional=True,
+)
 _CAPTURE_SHADING: dict[str, dict[str, Any]] = {
     "as captured": {"material": None, "shadow_catcher": None},
     "relit, PBR": {"material": {"type": "pbr"}, "shadow_catcher": None},
@@ -270,6 +277,7 @@ class Inspector:
         if entry.splats:
             if stored := entry.splats[0].gaussians.sh_degree:
                 fields.append((_whole("sh_degree", 0, stored), min(entry.splats[0].sh_degree, stored)))
+            fields.append((_ISO, entry.splats[0].depth_iso_transmittance))
             material = entry.splats[0].material
         elif entry.meshes:
             material = entry.meshes[0].mesh.material
