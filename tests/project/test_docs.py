@@ -42,7 +42,7 @@ SCENE_FILES = [
 ]
 NAMES = (
     "view|render|extract-frames|train|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate|bake|fit|delight|"
-    "doctor|farm|export|dataset|blocks|study"
+    "doctor|farm|export|dataset|blocks|study|profile"
 )
 COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})
 

@@ -200,6 +200,20 @@ def test_click_in_the_image_selects_the_visible_object(viewer: ls.Viewer) -> Non
         eventually(lambda: any(note.startswith("ball: Gaussian ") for note in page.notes()), "no notification arrived")
 
 
+def test_click_plots_the_gaussians_on_its_ray_if_asked(viewer: ls.Viewer) -> None:
+    """The plot appears below its checkbox, and goes with it."""
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        settled(viewer, page)
+        plot = viewer._rays._plot
+        page.choose("plot ray", True)
+        page.click(0.36, 0.5)
+        eventually(lambda: plot.visible, "the ray is not plotted")
+        assert plot.image.any()
+        page.choose("plot ray", False)
+        eventually(lambda: not plot.visible, "the plot is still shown")
+
+
 def test_changing_the_selection_removes_the_controls_of_the_previous_object(
     viewer: ls.Viewer, recwarn: pytest.WarningsRecorder
 ) -> None:

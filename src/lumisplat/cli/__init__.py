@@ -37,6 +37,7 @@ from lumisplat.cli.commands.fit import Fit
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.orbit import Orbit
+from lumisplat.cli.commands.profile import Profile
 from lumisplat.cli.commands.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
@@ -62,7 +63,7 @@ _EXAMPLES = """  lumisplat demo -o out                 render a built-in scene, 
   lumisplat render scene.toml --pipeline path --samples 64 -o lit.png"""
 
 _GROUPS: dict[str, dict[str, type[Any]]] = {
-    "look": {"render": Render, "view": View, "orbit": Orbit, "animate": Animate, "info": Info},
+    "look": {"render": Render, "view": View, "orbit": Orbit, "animate": Animate, "info": Info, "profile": Profile},
     "light": {"fit": Fit, "relight": Relight, "delight": Delight, "bake": Bake, "shadowmap": ShadowMap},
     "train": {"extract-frames": ExtractFrames, "train": Train, "evaluate": Evaluate, "dataset": Dataset},
     "convert": {"convert": Convert, "export": Export, "blocks": Blocks},

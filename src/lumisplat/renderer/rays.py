@@ -13,10 +13,12 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import Pipeline, RenderConfig, ShadowConfig, TraceStrategy
+from lumisplat.config.gaussians import DEPTH_ISO_TRANSMITTANCE
 from lumisplat.constants import PACKET_RAYS
 from lumisplat.device.structs.camera import FilmData, ListedRays
 from lumisplat.device.structs.rays import HitProfiles, RayData
 from lumisplat.errors import SceneError
+from lumisplat.frame.profile_plot import profile_plot
 from lumisplat.math.arrays import Doubles, FloatArray, IntArray, Rows, host_array
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums
@@ -76,6 +78,24 @@ class RayProfile:
     def rows(self, ray: int) -> slice:
         """Returns the rows of one ray, rays counted from 0: ``profile.alpha[profile.rows(3)]``."""
         return slice(int(self.first[ray]), int(self.first[ray + 1]))
+
+    def plot(
+        self, ray: int = 0, *, iso: float = DEPTH_ISO_TRANSMITTANCE, size: tuple[int, int] = (640, 360)
+    ) -> npt.NDArray[np.uint8]:
+        """Returns a plot of one ray's Gaussians over distance, sRGB, shape (height, width, 3).
+
+        The blue line is the transmittance, orange stems are alphas, the green line is the surface.
+
+        Args:
+            ray: The ray, counted from 0.
+            iso: Transmittance at the surface, 0..1.
+            size: Width and height in pixels, 160 to 8192.
+
+        Raises:
+            ConfigError: The size is out of range.
+        """
+        rows = self.rows(ray)
+        return profile_plot(self.t[rows], self.alpha[rows], self.transmittance[rows], iso, size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,7 +30,7 @@ from lumisplat.viewer.panels.outliner import Outliner
 from lumisplat.viewer.panels.rendering import RenderingPanel
 from lumisplat.viewer.panels.status import QUIET_LOG, Notifications, StatusPanel
 from lumisplat.viewer.panels.video import VideoPanel
-from lumisplat.viewer.panels.viewing import Timeline, ViewPanel, Viewpoints
+from lumisplat.viewer.panels.viewing import RayPanel, Timeline, ViewPanel, Viewpoints
 from lumisplat.viewer.picking import select
 from lumisplat.viewer.server.event_queue import press_callback
 from lumisplat.viewer.server.page_server import PageServer
@@ -190,6 +190,7 @@ class Viewer:
         with tabs.add_tab("View"):
             self._viewpoints = Viewpoints(gui, self._session)
             ViewPanel(gui, self._session)
+            self._rays = RayPanel(gui, self._session, self._loop.run_in_background, device)
             self._add_theme()
             self._status.add_details(gui)
         with tabs.add_tab("Video"):
@@ -366,6 +367,7 @@ class Viewer:
         seen = select(self._session, page.frame, across, down, is_level=not page.frames_at_rest)
         if seen is not None:
             self._notifications.notify(*seen)
+        self._rays.follow(page.frame, across, down)
 
 
 def _preload_renderer() -> None:

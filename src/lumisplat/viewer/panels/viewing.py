@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,6 +91,51 @@ class ViewPanel:
         return put
 
 
+class RayPanel:
+    """Checkbox in viser's open GUI folder, and below it a plot of the Gaussians on the ray of the last clicked point.
+
+    Args:
+        gui: Controls of the pages.
+        session: Session with the scene.
+        do: Queues a generator whose steps the render thread runs, `RenderLoop.run_in_background`.
+        device: Device that traces the ray.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session, do: Callable[[Generator[None]], None], device: str) -> None:
+        self._session, self._do, self._device = session, do, device
+        hint = "Plots transmittance and alpha of the Gaussians on the ray of a clicked point."
+        self._is_on = gui.add_checkbox("plot ray", False, hint=hint)
+        self._plot = gui.add_image(np.zeros((_PLOT[1], _PLOT[0], 3), np.uint8), format="png", visible=False)
+        self._is_on.on_update(lambda _: self._hide())
+
+    def follow(self, frame: ls.Frame, across: float, down: float) -> None:
+        """Plots the ray of a clicked point if the checkbox is on; arguments are as for `picked`."""
+        if self._is_on.value and not frame.camera.is_distorted:
+            self._do(self._steps(frame.camera, across, down))
+
+    def _hide(self) -> None:
+        if not self._is_on.value:
+            self._plot.visible = False
+
+    def _steps(self, camera: ls.Camera, across: float, down: float) -> Generator[None]:
+        yield
+        directions = camera.ray_directions()
+        height, width = directions.shape[:2]
+        along = directions[min(int(down * height), height - 1), min(int(across * width), width - 1)]
+        config = self._session.state.config
+        turned = along @ camera.camera_from_world[:3, :3]
+        try:
+            hits = ls.trace_rays(self._session.scene, camera.eye, [turned], config, device=self._device, profile=True)
+        except ls.LumisplatError as error:
+            self._session.report(str(error))
+            return
+        assert hits.profile is not None
+        self._plot.image = hits.profile.plot(iso=config.trace.depth_iso_transmittance, size=_PLOT)
+        self._plot.visible = True
+
+
+_PLOT = (400, 260)
+"""Width and height of the plot of a ray, pixels."""
 _ALL = "all"
 _SELECTED = "selected"
 
