@@ -1,7 +1,7 @@
 """Kernels that blend again the pixels where several captures overlap, so that the nearer surface wins.
 
-Each capture keeps its own order, by means; captures are merged by the depths at which their Gaussians respond most on a pixel's
-ray. The method is in docs/method/rasterisation.md#several-sets.
+Each capture keeps its own order, by means; captures are merged by the depths at which their Gaussians respond most on a
+pixel's ray. The method is in docs/method/rasterisation.md#several-sets.
 """
 
 import warp as wp
