@@ -428,7 +428,7 @@ def composite(
     }
 
 
-def peak_depth(splats: Splats, i: np.ndarray, camera: Camera) -> np.ndarray:
+def peak_depth(splats: Splats, i: int | np.ndarray, camera: Camera) -> np.ndarray:
     """Returns the view depth of the peak of splat ``i``, () or (H, W), on each pixel's ray, (H, W).
 
     It is within three scales of its mean.
