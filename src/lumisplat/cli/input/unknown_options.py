@@ -195,6 +195,8 @@ def _choices(command: type[Any]) -> Iterator[tuple[str, set[str]]]:
         option, words = f"--{name.replace('_', '-')}", {*_literals(hint)}
         if words and option in options_of(command):
             yield option, words
+    if "--view" in options_of(command):
+        yield "--view", {*ls.Frame.VIEWS}
 
 
 def _literals(hint: Any) -> Iterator[str]:
