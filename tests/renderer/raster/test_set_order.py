@@ -85,3 +85,10 @@ def test_captured_sets_keep_the_order_of_means_as_rays_do(renderer: ls.Renderer)
     halves = [floor.subset(np.arange(start, 1500, 2)) for start in range(2)]
     whole, cut = (renderer.render(ls.Scene(sets), CAMERA) for sets in ([floor], halves))
     np.testing.assert_array_equal(whole.color, cut.color)
+
+
+def test_merged_sets_keep_their_own_thresholds_of_the_surface(backend: str) -> None:
+    """A ball whose threshold is 0 is never the surface, also where its pixels are merged with those of the floor."""
+    both = [wide_floor(), ls.SplatInstance(ball(), depth_iso_transmittance=0.0)]
+    frame = renderer_of(backend, BY_PEAKS).render(ls.Scene(both), CAMERA)
+    assert not (frame.instance_index == 1).any() and (frame.instance_index == 0).any()

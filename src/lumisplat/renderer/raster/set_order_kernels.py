@@ -14,7 +14,7 @@ from lumisplat.device.camera.pixels import (
     tile_corner,
     tile_pixel,
 )
-from lumisplat.device.splat.blending import blend, empty_pixel, instance_of, pixel_ray, store_result
+from lumisplat.device.splat.blending import blend, empty_pixel, instance_of, iso_of, pixel_ray, store_result
 from lumisplat.device.splat.ellipse import EllipsePixel, evaluate, pixel_at
 from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log, depth_plane
 from lumisplat.device.structs import struct
@@ -275,6 +275,7 @@ def next_touching(
 def blend_listed(
     pixel: BlendState,
     raster: RasterData,
+    instances: wp.array[SplatInstanceData],
     splats: wp.array[Splat],
     tile_splats: wp.array[int],
     begin: int,
@@ -291,7 +292,10 @@ def blend_listed(
         log_alpha = evaluate(splat, seen).log_alpha
         if log_alpha >= LOG_ALPHA_MIN:
             alpha = alpha_from_log(log_alpha)
-            pixel = blend(pixel, splat, alpha, raster.transmittance_min, raster.depth_iso_transmittance)
+            iso = raster.depth_iso_transmittance
+            if pixel.surface < 0:
+                iso = iso_of(instances, splat.index, iso)
+            pixel = blend(pixel, splat, alpha, raster.transmittance_min, iso)
     return pixel
 
 
@@ -350,7 +354,7 @@ def merge_sets(
     if touching < 2:
         return
     raster = settings[0]
-    pixel = blend_listed(empty_pixel(), raster, splats, tile_splats, tile_starts[tile], first, seen)
+    pixel = blend_listed(empty_pixel(), raster, instances, splats, tile_splats, tile_starts[tile], first, seen)
     if pixel.transmittance <= 0.0:
         return
     while touching > 0 and pixel.transmittance > 0.0:
@@ -360,7 +364,10 @@ def merge_sets(
                 s = other
         splat = splats[streams[cursors[s]].index]
         alpha = alpha_from_log(evaluate(splat, seen).log_alpha)
-        pixel = blend(pixel, splat, alpha, raster.transmittance_min, raster.depth_iso_transmittance)
+        iso = raster.depth_iso_transmittance
+        if pixel.surface < 0:
+            iso = iso_of(instances, splat.index, iso)
+        pixel = blend(pixel, splat, alpha, raster.transmittance_min, iso)
         cursors[s] = next_touching(splats, streams, cursors[s] + 1, ends[s], seen)
         nearness[s] = -wp.inf
         if cursors[s] < ends[s]:
@@ -368,5 +375,5 @@ def merge_sets(
         else:
             touching -= 1
     behind = tile_starts[tile] + tiles[tile].end
-    pixel = blend_listed(pixel, raster, splats, tile_splats, behind, tile_starts[tile + 1], seen)
+    pixel = blend_listed(pixel, raster, instances, splats, tile_splats, behind, tile_starts[tile + 1], seen)
     store_result(view, raster, instances, splats, meshes, pixel, at[0], at[1], for_rays, pixels_out, hits_out)
