@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +87,6 @@ class Gait:
     """Distance of the feet from the way, relative to that in the capture."""
     drop: float = 0.035
     """Height by which the hips are lower than in the capture, so that the legs reach the ground."""
-    joints: list[str] = field(default_factory=lambda: list(JOINTS))
 
     def foot(self, side: str, time: float) -> tuple[np.ndarray, Rotation]:
         """Returns the position of an ankle and the rotation of its foot at a time."""
@@ -142,8 +141,8 @@ class Gait:
             found[f"{side}_wrist"] = found[f"{side}_hand"] = found[f"{side}_elbow"]
         dangle = Rotation.from_rotvec([0.05 * sway, 0.0, 0.05 * np.sin(2.0 * swing)])
         found["helmet"] = found["helmet_bottom"] = found["right_wrist"] * dangle
-        height = AT["pelvis"] - self.drop * UP + 0.028 * np.cos(2.0 * swing) * -UP
-        pelvis = ground + heading.apply([AT["pelvis"][0] - 0.06, 0.0, 0.025 * sway]) + [0.0, height[1], 0.0]
+        height = AT["pelvis"][1] + self.drop + 0.028 * np.cos(2.0 * swing)
+        pelvis = ground + heading.apply([AT["pelvis"][0] - 0.06, 0.0, 0.025 * sway]) + [0.0, height, 0.0]
         for side in ("left", "right"):
             found |= self._leg(side, time, pelvis, found["pelvis"])
         return found, pelvis

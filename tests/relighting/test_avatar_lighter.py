@@ -17,7 +17,7 @@ from lumisplat.demo.shapes import icosphere
 from lumisplat.lights import LightPath
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.transforms import multiply_quaternions, rotation_matrix
-from lumisplat.relighting import avatar_lighter
+from lumisplat.relighting import avatar_lighter, probe
 from lumisplat.relighting.actor_light import share_beyond
 from lumisplat.scene.lights import Light
 from lumisplat.scene.ops.mesh_sampling import sample_surface
@@ -264,7 +264,7 @@ def test_relit_actor_is_lit_by_the_radiance_around_its_position() -> None:
 def test_avatar_lighter_reuses_normals_and_probes_of_a_static_actor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Normals are estimated once for each actor, and probes once for each position of an actor."""
     calls: list[str] = []
-    estimate, capture = avatar_lighter.estimate_normals, ls.avatars.EnvironmentProbe.capture_with_open
+    estimate, capture = avatar_lighter.estimate_normals, probe.render_cube
 
     def counted_estimate(*arguments: Any) -> Any:
         calls.append("normals")
@@ -275,7 +275,7 @@ def test_avatar_lighter_reuses_normals_and_probes_of_a_static_actor(monkeypatch:
         return capture(*arguments, **options)
 
     monkeypatch.setattr(avatar_lighter, "estimate_normals", counted_estimate)
-    monkeypatch.setattr(ls.avatars.EnvironmentProbe, "capture_with_open", counted_capture)
+    monkeypatch.setattr(probe, "render_cube", counted_capture)
     stage = lighter(ls.Scene(splats=[floor()]), relight=True)
     actor = puppet()
     for x in (0.0, 0.0, 0.5):

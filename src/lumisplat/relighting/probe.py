@@ -29,7 +29,7 @@ from lumisplat.math.directions import panorama_directions, panorama_lookup, pano
 from lumisplat.math.sh import sh_basis
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.progress import Progress
-from lumisplat.renderer.cubemap import render_cube
+from lumisplat.renderer.cubemap import CubeSamples, render_cube
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.checks import check_kind
 from lumisplat.scene.lights import LightEnvironment
@@ -124,33 +124,6 @@ class EnvironmentProbe:
             DeviceError: There is no such device, or it is out of memory.
             SceneError: The scene is of another type, or the position or every pixel is not finite.
         """
-        return cls.capture_with_open(
-            scene,
-            position,
-            degree,
-            face_px=face_px,
-            ridge=ridge,
-            near=near,
-            config=config,
-            device=device,
-            renderer=renderer,
-        )[0]
-
-    @classmethod
-    def capture_with_open(
-        cls,
-        scene: Scene,
-        position: npt.ArrayLike,
-        degree: int = 3,
-        *,
-        face_px: int = PROBE_FACE_PX,
-        ridge: float = PROBE_RIDGE,
-        near: float = NEAR_PLANE,
-        config: RenderConfig | None = None,
-        device: str = "auto",
-        renderer: Renderer | None = None,
-    ) -> tuple[EnvironmentProbe, EnvironmentProbe]:
-        """Returns what `capture` returns, and a probe of radiance 1 in the directions that the scene leaves open."""
         check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
         check_whole("face_px", face_px, 4, 1024)
         check_range("near", near, 1e-9, 1e9)
@@ -160,16 +133,8 @@ class EnvironmentProbe:
         center = three_numbers("position", position)
         renderer = create_renderer(config, device) if renderer is None else renderer
         check_kind("scene", scene, Scene, "a Scene")
-        bounces = bool(scene.splats) and renderer.config.pipeline.bounces_light
-        if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights and not bounces:
-            # Without lights, meshes get a headlight or captured light: the probe must not hold either.
-            renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)
-        samples = render_cube(scene, center, renderer.render, int(face_px), float(near))
-        uncovered = np.repeat(1.0 - samples.alpha.astype(np.float64)[:, None], 3, axis=1)
-        return (
-            cls(_fit(samples.directions, samples.radiance, samples.weights, degree, ridge)),
-            cls(_fit(samples.directions, uncovered, samples.weights, degree, ridge)),
-        )
+        samples = _samples(scene, center, renderer, int(face_px), float(near))
+        return cls(_fit(samples.directions, samples.radiance, samples.weights, degree, ridge))
 
     @classmethod
     def fit(
@@ -334,6 +299,15 @@ class EnvironmentProbe:
         return (sh_basis(unit, self.degree) @ scaled).astype(np.float32).reshape(checked.shape)
 
 
+def _samples(scene: Scene, center: Doubles, renderer: Renderer, face_px: int, near: float) -> CubeSamples:
+    """Renders the cube map of a probe; arguments as for `EnvironmentProbe.capture`."""
+    bounces = bool(scene.splats) and renderer.config.pipeline.bounces_light
+    if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights and not bounces:
+        # Without lights, meshes get a headlight or captured light: the probe must not hold either.
+        renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)
+    return render_cube(scene, center, renderer.render, face_px, near)
+
+
 def _without_ringing(image: FloatArray) -> FloatArray:
     """Returns a latitude-longitude image without negative values; the rest is scaled to keep the sphere's mean."""
     shares = panorama_solid_angles(*image.shape[:2])[:, None, None]
@@ -391,6 +365,9 @@ def _fit(
     return np.asarray(np.linalg.solve(gram, moments), np.float64)
 
 
+_DEGREE = 3
+"""SH degree of the probes of `ProbeCache`, which suffices for diffuse surfaces."""
+
 _PROBES_CACHED = 64
 """Maximum number of probes that `ProbeCache` keeps; a scene has fewer actors. A full cache drops all probes."""
 
@@ -423,11 +400,18 @@ class ProbeCache:
         return self._pair(center)[1]
 
     def _pair(self, center: npt.NDArray[np.float64]) -> tuple[EnvironmentProbe, EnvironmentProbe]:
+        """Returns the probes of `at` and `open_at`, which share a cube map."""
         key = center.tobytes()
         if key not in self._probes:
             if self._renderer is None:
                 self._renderer = create_renderer(self._config, self._device, progress=self._progress)
             if len(self._probes) >= _PROBES_CACHED:
                 self._probes.clear()
-            self._probes[key] = EnvironmentProbe.capture_with_open(self._scene, center, renderer=self._renderer)
+            samples = _samples(self._scene, center, self._renderer, PROBE_FACE_PX, NEAR_PLANE)
+            uncovered = np.repeat(1.0 - samples.alpha.astype(np.float64)[:, None], 3, axis=1)
+            light, open_directions = (
+                EnvironmentProbe(_fit(samples.directions, values, samples.weights, _DEGREE, PROBE_RIDGE))
+                for values in (samples.radiance, uncovered)
+            )
+            self._probes[key] = light, open_directions
         return self._probes[key]

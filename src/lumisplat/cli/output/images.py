@@ -169,7 +169,7 @@ class Layers:
 
 @dataclass(frozen=True)
 class Views:
-    """What ``--view`` asks for: a false-colour view in place of the image, or insets on the image."""
+    """Names the views of ``--view``: a false-colour view in place of the image, or insets on the image."""
 
     main: str | None = None
     """View that replaces the image; None: the image itself."""

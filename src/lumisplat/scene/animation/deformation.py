@@ -23,7 +23,7 @@ RIGID_ERROR = 1e-6
 """Largest error of ``A^T A``, relative to its mean diagonal, at which a map counts as a rotation and uniform scale."""
 
 _SWEEPS_MAX = 10
-"""Largest number of Jacobi sweeps over the three pairs of axes; four reach rounding for most shears."""
+"""Largest number of Jacobi sweeps over the three pairs of axes."""
 
 _NEWTON_STEPS = 8
 """Newton steps towards the nearest rotation; they converge quadratically."""

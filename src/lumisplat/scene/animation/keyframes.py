@@ -88,14 +88,10 @@ class Keyframes:
         Raises:
             SceneError: ``time`` is not a finite number.
         """
-        check_time(time)
         times, positions, rotations, scales = map(
             np.asarray, (self.times, self.positions, self.rotations_wxyz, self.scales)
         )
-        before = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, times.size - 1))
-        after = min(before + 1, times.size - 1)
-        span = times[after] - times[before]
-        share = float(np.clip((time - times[before]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
+        before, after, share = bracket(times, time)
         quaternion = slerp(rotations[before], rotations[after], share)
         scale = (1.0 - share) * scales[before] + share * scales[after]
         pose = np.eye(4)
@@ -108,3 +104,19 @@ def check_time(time: float) -> None:
     """Raises a `SceneError` unless ``time`` is a finite number of seconds."""
     if not is_number(time) or not np.isfinite(time):
         raise SceneError(f"time is {time}, expected seconds, a finite number")
+
+
+def bracket(times: npt.NDArray[np.float64], time: float) -> tuple[int, int, float]:
+    """Returns the indices of the keys before and after a time, and the time's place between them, 0 to below 1.
+
+    Before the first and after the last key, both indices are that key.
+
+    Raises:
+        SceneError: ``time`` is not a finite number.
+    """
+    check_time(time)
+    before = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, times.size - 1))
+    after = min(before + 1, times.size - 1)
+    if time <= times[before] or after == before:
+        return before, before, 0.0
+    return before, after, float((time - times[before]) / (times[after] - times[before]))

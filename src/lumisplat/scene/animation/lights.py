@@ -15,7 +15,7 @@ from lumisplat.config.setting import frozen, given
 from lumisplat.errors import LumisplatError, SceneError, check_shapes
 from lumisplat.math.arrays import Doubles, finite_array, unit_vector
 from lumisplat.math.transforms import axis_rotation, matrices_from_quaternions, quaternions_from_matrices, slerp
-from lumisplat.scene.animation.keyframes import check_time
+from lumisplat.scene.animation.keyframes import bracket, check_time
 from lumisplat.scene.checks import check_kind, items_of, take_scene_fields, with_checked
 from lumisplat.scene.lights import Light, LightRect, PlacedLight
 from lumisplat.scene.materials import Material
@@ -242,22 +242,6 @@ def checked_times(times: npt.ArrayLike, count: int) -> Doubles:
         k = int(falls[0])
         raise SceneError(f"times must increase, but {checked[k + 1]:g} follows {checked[k]:g} (key {k + 1})")
     return checked
-
-
-def bracket(times: Doubles, time: float) -> tuple[int, int, float]:
-    """Returns the indices of the keys before and after a time, and the time's place between them, 0 to below 1.
-
-    Before the first and after the last key, both indices are that key.
-
-    Raises:
-        SceneError: ``time`` is not a finite number.
-    """
-    check_time(time)
-    before = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, times.size - 1))
-    after = min(before + 1, times.size - 1)
-    if time <= times[before] or after == before:
-        return before, before, 0.0
-    return before, after, float((time - times[before]) / (times[after] - times[before]))
 
 
 def _is_same(first: object, second: object) -> bool:
