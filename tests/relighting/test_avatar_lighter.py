@@ -557,6 +557,23 @@ def test_figures_are_in_the_shadow_of_each_other_and_of_themselves() -> None:
     assert np.median(lit[True][1][facing]) < around + 0.03 and np.median(lit[False][1][facing]) > around + 0.3
 
 
+def test_figures_cast_no_shadows_of_a_light_that_the_scene_keeps_from_them() -> None:
+    """Under a lid as bright as the background no light of the sun above arrives, so that no figure can block any."""
+    lid = captured(floor().means + np.float32([0.0, 3.0, 0.0]), decode_srgb(np.full(3, 0.5)), scale=0.3)
+    ball = puppet().gaussians
+    upper = replace(puppet(), gaussians=replace(ball, normals=ball.means / np.float32(0.4)))
+    pose = np.array(upper.transform)
+    pose[1, 3] = -0.5
+    lower = replace(upper, world_from_object=pose)
+    lit = []
+    for shadows in (True, False):
+        settings = config(relight=True, shadows=shadows)
+        sun = sunny((0.0, -1.0, 0.0))
+        stage = ls.AvatarLighter(ls.Scene(splats=[lid]), [sun], settings, background=(0.5, 0.5, 0.5), device="cpu")
+        lit.append(light_left(ball, stage.light([upper, lower]).splats[2].gaussians))
+    np.testing.assert_allclose(*lit, atol=5e-3)
+
+
 def test_normals_of_a_sequence_are_those_of_its_first_frame_turned_along(monkeypatch: pytest.MonkeyPatch) -> None:
     """A figure whose every frame is a new object is estimated once; the sides follow its turn."""
     first = puppet().gaussians

@@ -145,7 +145,11 @@ class ActorLight:
         transfer = self.config.transfer
         center = centroid([actor])
         probe, sky = self.probes.at(center), self.probes.open_at(center)
-        beyond = [self._beyond(light, probe, actor, center) for light in self._lights]
+        shares = [share_beyond(probe, light, center) for light in self._lights]
+        beyond = [
+            share * self._visibility(actor, light) if share > 0.0 else 0.0
+            for light, share in zip(self._lights, shares, strict=True)
+        ]
         if number not in self._exposures:
             self._exposures[number] = self._exposure(actor, center, probe, sky, beyond)
         exposure = self._exposures[number]
@@ -153,7 +157,7 @@ class ActorLight:
         blocking = _Blocking(self, actor, normals, casters)
         if captured_lights:
             # Only the part of a light that the probe holds is in the captured light.
-            outside = {id(light): share for light, share in zip(self._lights, beyond, strict=True)}
+            outside = {id(light): share for light, share in zip(self._lights, shares, strict=True)}
             passed = [
                 1.0 - (1.0 - outside.get(id(light), 0.0)) * (1.0 - blocking.transmittance(light))
                 for light in captured_lights
@@ -167,11 +171,6 @@ class ActorLight:
                 received = blocking.cosines(light) * blocking.transmittance(light)
                 total += (facing * received[:, None]).astype(np.float32)
         return np.float32(exposure.gamma) * np.minimum(total, np.float32(transfer.scale_max))
-
-    def _beyond(self, light: Light, probe: EnvironmentProbe, actor: SplatInstance, center: Doubles) -> float:
-        """Returns the fraction of a light at an actor that passes through the scene and is not in the probe, 0..1."""
-        share = share_beyond(probe, light, center)
-        return share * self._visibility(actor, light) if share > 0.0 else 0.0
 
     def _visibility(self, actor: SplatInstance, light: Light) -> float:
         """Returns the mean transmittance, 0..1, of up to `LIGHT_RAYS` rays from an actor through the scene to a light.
@@ -228,7 +227,7 @@ class ActorLight:
             center: Position of the probe, shape (3,).
             probe: The captured light at that position.
             sky: The fraction of each direction that no capture covers, as SH.
-            beyond: Fraction of each light that is not in the probe.
+            beyond: Fraction of each light that is not in the probe and passes through the scene.
         """
         if self.config.transfer.gamma is not None:
             return Exposure(1.0, 1.0, 0.0, self.config.transfer.gamma)
