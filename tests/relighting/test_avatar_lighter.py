@@ -559,7 +559,7 @@ def test_figures_are_in_the_shadow_of_each_other_and_of_themselves() -> None:
 
 def test_figures_cast_no_shadows_of_a_light_that_the_scene_keeps_from_them() -> None:
     """Under a lid as bright as the background no light of the sun above arrives, so that no figure can block any."""
-    lid = captured(floor().means + np.float32([0.0, 3.0, 0.0]), decode_srgb(np.full(3, 0.5)), scale=0.3)
+    lid = captured(floor().means + np.array([0.0, 3.0, 0.0], np.float32), decode_srgb(np.full(3, 0.5)), scale=0.3)
     ball = puppet().gaussians
     upper = replace(puppet(), gaussians=replace(ball, normals=ball.means / np.float32(0.4)))
     pose = np.array(upper.transform)

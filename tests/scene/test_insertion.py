@@ -285,6 +285,63 @@ def test_actors_without_positions_in_a_scene_file_are_placed_without_overlap(tmp
     assert (np.minimum(first[1], second[1]) <= np.maximum(first[0], second[0]))[[0, 2]].any()
 
 
+def hillside(folder: Path, entry: str) -> Path:
+    """Writes a scene file with a ground that rises by 0.25 per unit to the right, and one entry. Returns its path."""
+    file = scene_file(folder, "hidden = true\nposition = [0, 0, 0]")
+    level = capture("y-down")
+    ls.save(
+        folder / "ground.ply",
+        replace(level, means=level.means - level.means[:, :1] * np.array([0, 0.25, 0], np.float32)),
+    )
+    file.write_text(f"{file.read_text()}\n{entry}\n")
+    return file
+
+
+@pytest.mark.parametrize("kind", ["meshes", "actors"])
+def test_entries_with_ground_true_stand_on_the_ground_below_their_position(tmp_path: Path, kind: str) -> None:
+    """The base is at the height of the slope there; saved files and later edits keep it."""
+    form = 'form = "mesh"\n' if kind == "actors" else ""
+    file = hillside(tmp_path, f'[[{kind}]]\npath = "cone.obj"\n{form}position = [2.0, 0.0, 1.0]\nground = true')
+    scene = loaded(file)
+    assert corners(scene)[:, 1].min() == pytest.approx(0.7 + 0.25 * 2.0, abs=0.06)
+    np.testing.assert_allclose(scene.meshes[0].transform[[0, 2], 3], [2.0, 1.0], atol=1e-12)
+    document = ls.io.SceneDocument.open(file)
+    document.changed(document.entries[-1].id, name="hiker").save(tmp_path / "saved.toml")
+    np.testing.assert_allclose(loaded(tmp_path / "saved.toml").meshes[0].transform, scene.meshes[0].transform)
+
+
+def test_actors_with_ground_true_stand_on_the_ground_at_every_keyframe(tmp_path: Path) -> None:
+    """An actor walks up the slope, and one with a number stays at that height; documents say the same."""
+    keys = "".join(
+        f"[[actors.keyframes]]\ntime = {time}\nposition = [{x}, 9.0, 0.0]\nscale = {scale}\n"
+        for time, x, scale in ((0.0, -2.0, 1.0), (1.0, 2.0, 2.0))
+    )
+    for ground, heights in (("true", (0.2, 1.2)), ("0.5", (0.5, 0.5))):
+        entry = f'[[actors]]\npath = "cone.obj"\nform = "mesh"\nground = {ground}\n{keys}'
+        file = hillside(tmp_path, entry)
+        moving = ls.io.load_animation(file)
+        documents = ls.io.SceneDocument.open(file)
+        for time, height in zip((0.0, 1.0), heights, strict=True):
+            scene = moving.scene_at(time)
+            (mesh,) = moving.actors[0].at(time)
+            assert isinstance(mesh, ls.MeshInstance)
+            assert corners(replace(scene, meshes=[mesh]))[:, 1].min() == pytest.approx(height, abs=0.07)
+            np.testing.assert_allclose(documents.scene(time).meshes[-1].transform, mesh.transform, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["meshes", "actors"])
+def test_ground_true_without_any_ground_below_is_refused(tmp_path: Path, kind: str) -> None:
+    """The line says what to give instead; numbers must be finite."""
+    form = 'form = "mesh"\n' if kind == "actors" else ""
+    start = f'[[{kind}]]\npath = "cone.obj"\n{form}position = [90.0, 0.0, 0.0]\nground = '
+    with pytest.raises(
+        ls.FormatError, match=r"ground is true, but there is no ground below \[90, 0, 0\]: give its height"
+    ):
+        loaded(hillside(tmp_path, start + "true"))
+    with pytest.raises(ls.FormatError, match=r"ground is inf, expected a height, a finite number"):
+        loaded(hillside(tmp_path, start + "inf"))
+
+
 @pytest.mark.parametrize(("front", "axis"), [("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("-x", (-1, 0, 0))])
 def test_front_axis_of_an_inserted_mesh_faces_the_front_camera(tmp_path: Path, front: str, axis: Any) -> None:
     """The front axis faces the front camera for meshes and actors, in Python, scene files and saved documents."""

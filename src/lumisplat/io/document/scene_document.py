@@ -519,7 +519,6 @@ def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEnt
         numbered, key=lambda one: one[1][0] in _INSERTED_KINDS and not is_placed(one[1][1])
     ):
         insertion_scene = visible_scene(list(entries.values()), reader.up, 0.0)[0] if kind in _INSERTED_KINDS else None
-        insertion_scene = insertion_scene if insertion_scene is not None and insertion_scene.splats else None
         try:
             entries[number] = _read_entry(reader, number, kind, table, insertion_scene)
         except FormatError as error:

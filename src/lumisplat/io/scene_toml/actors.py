@@ -31,20 +31,33 @@ from lumisplat.io.rigs.loading import load_rig
 from lumisplat.io.scene_toml.placement import (
     PLACEMENT,
     STANDING,
+    found_ground,
     insert_entry,
     is_placed,
     placement,
     scene_up,
     stand_upright,
 )
-from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, NUMBERS, TABLES, TEXT, WHOLE, TomlTable, Values
+from lumisplat.io.scene_toml.toml_table import (
+    FLAG,
+    NUMBER,
+    NUMBER_OR_FLAG,
+    NUMBERS,
+    TABLES,
+    TEXT,
+    WHOLE,
+    TomlTable,
+    Values,
+)
 from lumisplat.io.splats.sequence import read_sequence
-from lumisplat.scene.animation.actors import Actor, Subject
+from lumisplat.math.arrays import Doubles
+from lumisplat.scene.animation.actors import Actor, Instance, Subject
 from lumisplat.scene.animation.keyframes import Keyframes
 from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians, bind_gaussians
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.ops.insertion import lowest
 from lumisplat.scene.ops.mesh_sampling import gaussians_from_instances
 from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -56,6 +69,9 @@ ACTOR_KEYS = {
     ),
     **PLACEMENT,
     **STANDING,
+    "ground": NUMBER_OR_FLAG.about(
+        "Height along up of its lowest point over its clip, at each keyframe; true: that of the ground below it."
+    ),
     "name": TEXT.about("Name of its instances."),
     "form": TEXT.about('Form of a rig or mesh: `"gaussians"` (default) or `"mesh"`.'),
     "count": WHOLE.about("Number of Gaussians of a rig or mesh. Default: neighbours are 1/300 of its size apart."),
@@ -87,6 +103,8 @@ KEYFRAME_KEYS = {
     ),
     "scale": PLACEMENT["scale"].about("Scale at that time. Default: that of the keyframe before, or 1."),
 }
+_POSES = 8
+"""Number of poses of a clip or sequence of which the lowest stands on the ground."""
 _FORMS = ("gaussians", "mesh")
 _KEY_OWNERS = {
     "count": "a rig or a mesh as Gaussians",
@@ -122,7 +140,7 @@ def read_actors(document: TomlTable, load: Load, scene: Scene) -> list[Actor]:
     subjects, up = Subjects(load), scene_up(document)
     actors: list[Actor] = []
     for table in document.tables("actors"):
-        actor = read_actor(table, subjects, up, scene if scene.splats else None)
+        actor = read_actor(table, subjects, up, scene)
         if not table.values.get("hidden", False):
             actors.append(actor)
             scene = with_instances(scene, actor.at(0.0))
@@ -143,8 +161,8 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | 
         table: The entry.
         subjects: Cache that loads the files of actors.
         up: Unit vector that points up in the scene.
-        scene: Non-empty scene into which an actor without a placement is inserted. None leaves such an actor where its
-            file has it.
+        scene: Scene that the actor joins. An actor without a placement is inserted beside its captures; None, or a
+            scene without captures, leaves the actor where its file has it.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
@@ -153,18 +171,58 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | 
     world_from_file = placement(table, up)
     motion = _motion(table)
     subject = subjects.get(table, given)
-    if scene is not None and not is_placed(given) and subjects.has_y_up(table, given):
+    if scene is not None and scene.splats and not is_placed(given) and subjects.has_y_up(table, given):
         if motion is None:
             world_from_file = insert_entry(table, scene, Actor(subject).at(0.0), None)
         elif not any("rotation_wxyz" in frame.values for frame in table.tables("keyframes")):
             world_from_file = stand_upright(table, up)
     settings = {key: given[key] for key in ("name", "clip", "loop", "speed", "casts_shadow", "relight") if key in given}
     try:
-        return Actor(subject, motion, world_from_file, **settings)
+        actor = Actor(subject, motion, world_from_file, **settings)
+        return actor if table.values.get("ground", False) is False else _on_ground(table, actor, up, scene)
     except FormatError:
         raise
     except SceneError as error:
         raise table.failed(error) from None
+
+
+def _on_ground(table: TomlTable, actor: Actor, up: Vector, scene: Scene | None) -> Actor:
+    """Moves an actor along up so that its feet are on the ground, at each of its keyframes if it has some.
+
+    The new positions replace ``ground`` in the table, so that later readings need no scene.
+
+    Args:
+        table: The entry, with the key ``ground``.
+        actor: The actor as the entry places it.
+        up: Unit vector that points up in the scene.
+        scene: Scene that the actor joins.
+
+    Raises:
+        FormatError: ``ground`` is true and the scene has no ground below a keyframe, or it is not finite.
+    """
+    if not np.isfinite(table.values["ground"]):
+        raise table.wrong("ground", "a height, a finite number")
+    still, motion = replace(actor, motion=None), actor.motion
+    poses = [still.at(share * still.own_duration) for share in np.linspace(0.0, 1.0, _POSES, endpoint=False)]
+    moves = [np.eye(4)] if motion is None else [motion.at(time) for time in np.asarray(motion.times)]
+    placed = [[[_moved(one, move) for one in pose] for pose in poses] for move in moves]
+    feet = [min(lowest(one, up) for pose in at_key for one in pose) for at_key in placed]
+    ground = table.values.pop("ground")
+    heights = found_ground(table, scene, [at_key[0] for at_key in placed]) if ground is True else [ground] * len(feet)
+    lifts = np.subtract(heights, feet)[:, None] * np.array(up)
+    if motion is None:
+        matrix = np.array(actor.world_from_object)
+        matrix[:3, 3] += lifts[0]
+        table.values["position"] = matrix[:3, 3].tolist()
+        return replace(actor, world_from_object=matrix)
+    positions = np.asarray(motion.positions) + lifts
+    for frame, position in zip(table.tables("keyframes"), positions.tolist(), strict=True):
+        frame.values["position"] = position
+    return replace(actor, motion=replace(motion, positions=positions))
+
+
+def _moved(instance: Instance, move: Doubles) -> Instance:
+    return replace(instance, world_from_object=move @ instance.transform)
 
 
 def _motion(table: TomlTable) -> Keyframes | None:

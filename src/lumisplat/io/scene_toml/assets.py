@@ -30,6 +30,7 @@ from lumisplat.io.scene_toml.materials import MaterialTable, entry_material
 from lumisplat.io.scene_toml.placement import (
     PLACEMENT,
     STANDING,
+    found_ground,
     insert_entry,
     is_placed,
     placement,
@@ -38,7 +39,7 @@ from lumisplat.io.scene_toml.toml_table import (
     FLAG,
     NAME_OR_NUMBER,
     NUMBER,
-    NUMBER_OR_FALSE,
+    NUMBER_OR_FLAG,
     TEXT,
     TEXT_OR_TABLE,
     VECTOR,
@@ -74,9 +75,9 @@ _SIZE = Kind("a number, two (plane) or three (box)", _is_size)
 _ENTRY = {
     **PLACEMENT,
     **STANDING,
-    "ground": NUMBER_OR_FALSE.about(
-        "Height along up of its lowest point; 2 % of the opacity of a capture may lie below. False: an unplaced mesh "
-        "stays at the height of its file."
+    "ground": NUMBER_OR_FLAG.about(
+        "Height along up of its lowest point; 2 % of the opacity of a capture may lie below. True: of meshes, that of "
+        "the ground below it. False: an unplaced mesh stays at the height of its file."
     ),
     "name": TEXT.about("Name, instead of the one in the file."),
     "material": TEXT_OR_TABLE.about("Name of a `[materials.NAME]`, or a table with the keys of a material."),
@@ -206,13 +207,13 @@ class Assets:
 
         Args:
             table: The entry.
-            existing: Non-empty scene into which an entry without a placement is inserted. None leaves such an entry
-                where its file has it.
+            existing: Scene that the entry joins. An entry without a placement is inserted beside its captures; None, or
+                a scene without captures, leaves the entry where its file has it.
         """
         given, world_from_file = _read_entry(table, "meshes", self.up)
         assets = self._assets(table, "meshes", given)
         scene = self._part(table, given, assets[-1])
-        if existing is not None and (scene.meshes or scene.splats) and not is_placed(given):
+        if existing is not None and existing.splats and (scene.meshes or scene.splats) and not is_placed(given):
             world_from_file = insert_entry(table, existing, (*scene.meshes, *scene.splats), scene.up)
         lights = scene.lights if given.get("lights", True) else ()
         try:
@@ -229,7 +230,11 @@ class Assets:
                 replace(i, world_from_object=world_from_file @ i.transform, name=given.get("name") or i.name)
                 for i in scene.splats
             ]
-            lift = self._lift(given, [*meshes, *splats])
+            placed = [*meshes, *splats]
+            if table.values.get("ground") is True and placed:
+                # Written to the table, so that later readings need no scene.
+                (given["ground"],) = (table.values["ground"],) = found_ground(table, existing, [placed])
+            lift = self._lift(given, placed)
             return PlacedEntry(
                 splats=tuple(replace(splat, world_from_object=lift @ splat.transform) for splat in splats),
                 meshes=tuple(replace(mesh, world_from_object=lift @ mesh.transform) for mesh in meshes),
@@ -413,7 +418,7 @@ def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
 def _read_entry(table: TomlTable, heading: str, up: Vector) -> tuple[Values, Doubles]:
     """Checks the keys and values of an entry. Returns the values, and the ``world_from_file`` that they state."""
     given = table.take(ENTRY_KEYS[heading], required=() if "shape" in table.values else ("path",))
-    if not np.isfinite(given.get("ground", 0.0)):
+    if not np.isfinite(given.get("ground", 0.0)) or (heading == "splats" and given.get("ground") is True):
         raise table.wrong("ground", "a height, a finite number")
     if not 0.0 <= given.get("crease_angle_degrees", 0.0) <= 180.0:
         raise table.wrong("crease_angle_degrees", "0 to 180 degrees")

@@ -31,7 +31,7 @@ from lumisplat.io.splats.sog import LUMISPLAT_KEY, read_meta
 from lumisplat.io.splats.spz import read_spz_orientation
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.ops.insertion import insertion
+from lumisplat.scene.ops.insertion import ground_below, insertion
 from lumisplat.scene.placing import Placement, Vector, placed, up_vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
@@ -72,7 +72,9 @@ def _is_saved(document: TomlTable) -> bool:
 
 def is_placed(values: Mapping[str, Any]) -> bool:
     """Returns whether an entry states a position, rotation or ground height, and so is not inserted automatically."""
-    return any(key in values for key in ("position", *_ROTATION_KEYS)) or values.get("ground", False) is not False
+    return any(key in values for key in ("position", *_ROTATION_KEYS)) or not isinstance(
+        values.get("ground", False), bool
+    )
 
 
 def keep_saved_positions(document: TomlTable) -> None:
@@ -141,7 +143,7 @@ def insert_entry(
     """Inserts an entry without a placement into the captures of a scene, and logs the position.
 
     Args:
-        table: The entry; ``scale``, ``front`` and ``ground = false`` are respected.
+        table: The entry; ``scale``, ``front`` and ``ground = false`` are respected, and ``ground = true`` is removed.
         scene: Scene with at least one capture.
         instances: Captures and meshes of the entry, in the coordinates of its file.
         instances_up: Up direction of the file; None for y up.
@@ -157,12 +159,13 @@ def insert_entry(
     except SceneError as error:
         raise table.failed(error) from None
     matrix = found.world_from_asset
-    if "ground" in table.values:
+    if table.values.get("ground", True) is False:
         matrix[:3, 3] = 0.0
         _warn(
             table, "has no position: it stands upright at the coordinates of its file (upright = false: as in its file)"
         )
     else:
+        table.values.pop("ground", None)
         _warn(
             table,
             f"has no position: it stands upright {found.where}{found.scaling}: {found} "
@@ -183,6 +186,27 @@ def stand_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
     matrix = placement(TomlTable.of(table.path, {**table.values, "upright": True}), up)
     _warn(table, "has no rotation, and is rotated upright (upright = false: as in its file)")
     return matrix
+
+
+def found_ground(
+    table: TomlTable, scene: Scene | None, placements: Sequence[Sequence[MeshInstance | SplatInstance]]
+) -> list[float]:
+    """Returns the height along up of the ground below each of several placements of an entry with ``ground = true``.
+
+    Raises:
+        FormatError: The scene is empty or None, or has no ground below a placement.
+    """
+    if scene is None or not (scene.splats or scene.meshes):
+        heights = [None]
+    else:
+        heights = ground_below(scene, placements)
+    if None in heights:
+        x, y, z = placements[heights.index(None)][0].transform[:3, 3]
+        where = f"[{x:.4g}, {y:.4g}, {z:.4g}]"
+        raise table.error(
+            f"ground is true, but there is no ground below {where}: give its height along up, a number", "ground"
+        )
+    return [height for height in heights if height is not None]
 
 
 def _warn(table: TomlTable, line: str) -> None:

@@ -166,7 +166,7 @@ def _static_scene(document: TomlTable, load: Load) -> tuple[Scene, list[MovingLi
     captures = [entry for entry, table in splats if not table.values.get("hidden", False)]
     scene = Scene(splats=tuple(splat for entry in captures for splat in entry.splats), up=up)
     for table in document.tables("meshes"):
-        entry = assets.meshes(table, scene if scene.splats else None)
+        entry = assets.meshes(table, scene)
         if not table.values.get("hidden", False):
             scene = replace(
                 scene,

@@ -177,6 +177,10 @@ def _is_number_or_false(value: object) -> bool:
     return value is False or is_number(value)
 
 
+def _is_number_or_flag(value: object) -> bool:
+    return isinstance(value, bool) or is_number(value)
+
+
 def _is_instance(kind: type | UnionType) -> Callable[[object], bool]:
     return lambda value: isinstance(value, kind)
 
@@ -209,6 +213,8 @@ FLAG = Kind("true or false", _is_instance(bool))
 NUMBER = Kind("a number", is_number)
 
 NUMBER_OR_FALSE = Kind("a number or false", _is_number_or_false)
+
+NUMBER_OR_FLAG = Kind("a number, true or false", _is_number_or_flag)
 
 WHOLE = Kind("a whole number", is_whole)
 

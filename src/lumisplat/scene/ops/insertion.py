@@ -254,6 +254,41 @@ def insertion(
     return Insertion(matrix, scale, where, share, fits and scale != 1.0)
 
 
+def ground_below(scene: Scene, placements: Sequence[Sequence[MeshInstance | SplatInstance]]) -> list[float | None]:
+    """Returns the height along up of a scene's ground below objects, for each of several placements of the objects.
+
+    The height is the median over the objects' footprint; None where the scene has no ground below.
+
+    Args:
+        scene: Scene with at least one capture or mesh.
+        placements: For each placement, at least one object in world space.
+    """
+    rotation = y_up_from(scene.up_direction)
+    visible = _VisibleScene.of(scene, rotation)
+    heights: list[float | None] = []
+    for objects in placements:
+        points = np.concatenate([_points(one) for one in objects]) @ rotation.T
+        size = np.ptp(points, axis=0)
+        middle, cell = points.min(axis=0) + 0.5 * size, visible.cell(size)
+        # A small grid: on slopes, ground far away is far above or below.
+        reach = _CELLS_ACROSS
+        ground, _ = _ground(visible, middle[[0, 2]], reach, cell, max(float(size[1]), cell))
+        heights.append(_median_height(ground, (reach, reach), _half_cells(size[[0, 2]], cell)))
+    return heights
+
+
+def _half_cells(footprint: Doubles, cell: float) -> Rows:
+    """Returns the number of grid cells on each side of the middle one that a footprint covers, shape (2,)."""
+    return np.ceil(0.5 * footprint / cell - 0.5).astype(int)
+
+
+def _median_height(ground: Doubles, at: tuple[int, int], half: Rows) -> float | None:
+    """Returns the median height of the ground in a cell and ``half`` cells to each side; None without any ground."""
+    rows, columns = (slice(max(i - reach, 0), i + reach + 1) for i, reach in zip(at, half.tolist(), strict=True))
+    heights = ground[rows, columns]
+    return float(np.nanmedian(heights)) if np.isfinite(heights).any() else None
+
+
 def _points(asset: MeshInstance | SplatInstance) -> Doubles:
     """Returns points with the bounding box of an object, file coordinates, (N, 3): a mesh's vertices or box corners."""
     if isinstance(asset, MeshInstance):
@@ -286,6 +321,12 @@ class _VisibleScene:
         """Diagonal of the scene's box, at most `_SCENE_OF_VIEW` focus distances of the first view; above 0."""
         diagonal = max(float(np.linalg.norm(self.high - self.low)), 1e-12)
         return diagonal if self.view is None else min(diagonal, _SCENE_OF_VIEW * (self.view.focus_distance or np.inf))
+
+    def cell(self, size: Doubles) -> float:
+        """Returns the side of the ground grid's cells for an object with a bounding box of ``size``, shape (3,)."""
+        area = float(np.prod((self.high - self.low)[[0, 2]]))
+        spacing = float(np.sqrt(area / len(self.means)))
+        return max(float(size[[0, 2]].max()) / _CELLS_ACROSS, _SPACINGS * spacing, 1e-4 * self.size)
 
     @classmethod
     def of(cls, scene: Scene, rotation: Doubles) -> _VisibleScene:
@@ -374,15 +415,13 @@ def _choose_position(visible: _VisibleScene, own: Doubles, size: Doubles) -> tup
     """
     low, high, footprint = visible.low[[0, 2]], visible.high[[0, 2]], size[[0, 2]]
     start = _start(visible, own)
-    spacing = np.sqrt(float(np.prod(high - low)) / len(visible.means))
-    cell = max(float(footprint.max()) / _CELLS_ACROSS, _SPACINGS * spacing, 1e-4 * visible.size)
-    corner = start - (_REACH + 0.5) * cell
+    cell = visible.cell(size)
     tall = max(float(size[1]), cell)
-    ground, blocked = _ground(visible, corner, cell, tall)
+    ground, blocked = _ground(visible, start, _REACH, cell, tall)
     steps = np.arange(2 * _REACH + 1) - _REACH
     offset = cell * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
     centers = start + offset
-    half, wide = (np.ceil(0.5 * share * footprint / cell - 0.5).astype(int) for share in (1.0, 1.0 + 2.0 * _MARGIN))
+    half, wide = (_half_cells(share * footprint, cell) for share in (1.0, 1.0 + 2.0 * _MARGIN))
     is_near = ((centers >= low - 1.5 * footprint) & (centers <= high + 1.5 * footprint)).all(axis=-1)
     is_free = (_box_mean(blocked(tall), half) <= _BLOCKED) & is_near
     is_beside = is_free & (_box_mean(blocked(tall), wide) <= _BLOCKED)
@@ -404,10 +443,8 @@ def _choose_position(visible: _VisibleScene, own: Doubles, size: Doubles) -> tup
     wanted = next((choice for choice in choices if choice.any()), None)
     if wanted is not None and not wanted[row, column]:
         row, column = np.unravel_index(np.argmin(np.where(wanted, cost, np.inf)), cost.shape)
-    ends = [slice(max(int(at) - reach, 0), int(at) + reach + 1) for at, reach in zip((row, column), half, strict=True)]
-    heights = ground[ends[0], ends[1]]
-    height = float(np.nanmedian(heights)) if np.isfinite(heights).any() else float(visible.low[1])
-    return centers[row, column], height, where
+    height = _median_height(ground, (int(row), int(column)), half)
+    return centers[row, column], float(visible.low[1]) if height is None else height, where
 
 
 def _before(visible: _VisibleScene, view: Camera) -> tuple[Doubles, float]:
@@ -458,7 +495,7 @@ def _in_view(visible: _VisibleScene, positions: Doubles, heights: Doubles) -> Fl
 
 
 def _ground(
-    visible: _VisibleScene, corner: Doubles, cell: float, height: float
+    visible: _VisibleScene, center: Doubles, reach: int, cell: float, height: float
 ) -> tuple[Doubles, Callable[[float], Doubles]]:
     """Finds the height of the ground in square cells, and the obstacles on the ground.
 
@@ -468,16 +505,17 @@ def _ground(
 
     Args:
         visible: Points of the scene, y up.
-        corner: x and z of the first cell's corner, shape (2,).
+        center: x and z of the middle cell's centre, shape (2,).
+        reach: Number of cells on each side of the middle one.
         cell: Side length of a cell.
         height: Height of the object that is to stand on the ground, scene units.
 
     Returns:
-        Ground heights, NaN where there is no ground, shape (C, C) with C = 2 `_REACH` + 1; and a function that returns
+        Ground heights, NaN where there is no ground, shape (C, C) with C = 2 reach + 1; and a function that returns
         the coverage of each cell by obstacles up to a given height above the ground, 0..1, shape (C, C).
     """
-    count = 2 * _REACH + 1
-    rows = np.floor((visible.means[:, [0, 2]] - corner) / cell).astype(np.int64)
+    count = 2 * reach + 1
+    rows = np.floor((visible.means[:, [0, 2]] - center) / cell + reach + 0.5).astype(np.int64)
     inside = np.flatnonzero(((rows >= 0) & (rows < count)).all(axis=1))
     number = rows[inside, 0] * count + rows[inside, 1]
     heights, covers = visible.means[inside, 1], np.minimum(visible.areas[inside] / cell**2, 1.0)
@@ -488,9 +526,9 @@ def _ground(
     found = lowest >= 0
     ground[found] = heights[lowest[found]]
 
-    def risen(base: Doubles, reach: float) -> Doubles:
+    def risen(base: Doubles, rise: float) -> Doubles:
         above = heights - base[number]
-        layer = np.flatnonzero((above >= 0.0) & (above <= reach))[::-1]
+        layer = np.flatnonzero((above >= 0.0) & (above <= rise))[::-1]
         top = _first_covered(number[layer], covers[layer], count * count)
         return np.where(top >= 0, heights[layer[top]] if layer.size else base, base)
 
@@ -505,8 +543,8 @@ def _ground(
     ground[ground > floor + _RISE * height] = np.nan
     above = heights - np.where(np.isfinite(ground), ground, floor)[number]
 
-    def blocked(reach: float) -> Doubles:
-        stands = (above > _LAYER * height) & ((above < reach) | solid)
+    def blocked(top: float) -> Doubles:
+        stands = (above > _LAYER * height) & ((above < top) | solid)
         return np.minimum(np.bincount(number[stands], covers[stands], count * count), 1.0).reshape(count, count)
 
     return ground.reshape(count, count), blocked
