@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +183,16 @@ def sunset(captures: Captures, width: int, elevation: float = 7.0) -> Shot:
     return scene, camera(*MEADOW, width, exposure=0.1 + 0.7 * low)
 
 
+def day(captures: Captures, width: int, hour: float = 8.0) -> Shot:
+    """Returns the robot in the sun and sky of a summer day in Zurich; the camera follows the light as a phone does."""
+    clock = datetime(2026, 6, 21, tzinfo=timezone(timedelta(hours=2))) + timedelta(hours=hour)
+    light = ls.lights.Daylight(47.4, 8.5, clock, north=(-0.5, 0.0, -1.0))
+    scene = ls.Scene([*captures.robot(), *captures.meadow()], [earth()], light.lights())
+    elevation, _ = light.position
+    dusk = 1.0 - float(np.clip(elevation / 15.0, 0.0, 1.0))
+    return scene, camera(*MEADOW, width, exposure=0.4 + 2.6 * dusk)
+
+
 def night(captures: Captures, width: int, angle: float = 40.0) -> Shot:
     """Returns the robot at night, by a lantern and the moon."""
     around = np.radians(angle)
@@ -265,6 +276,23 @@ def fur(captures: Captures, width: int) -> Shot:
     return scene, camera((0.6, 2.5, 6.6), (0.25, 1.2, 0.0), 0.58, width)
 
 
+def tinted(captures: Captures, width: int) -> Shot:
+    """Returns the cube of fur, whose shadow has its colours."""
+    return fur(captures, width)
+
+
+def gloss(captures: Captures, width: int) -> Shot:
+    """Returns the biker in polished leathers, in a light from above."""
+    key = ls.LightSphere((-1.6, 5.2, 2.8), 0.5, (1.0, 0.93, 0.85), 320.0, visible=False)
+    fill = ls.LightEnvironment(color=(0.6, 0.7, 0.9), intensity=0.25, visible=False)
+    capture = captures.gaussians("biker.spz")
+    polished = ls.MaterialPbr(roughness=0.35, specular=0.5)
+    biker = ls.SplatInstance(replace(capture, normals=ls.estimate_normals(capture, "smooth")), turned(100), polished)
+    return ls.Scene([biker], [backdrop((0.10, 0.10, 0.11), 9.0)], [key, fill]), camera(
+        (0.0, 2.0, 4.6), (0.0, 2.1, 0.0), 0.44, width, exposure=0.6
+    )
+
+
 def scaled(transform: np.ndarray | None, size: float, place: tuple[float, float, float]) -> np.ndarray:
     """Returns a transform made larger and moved."""
     assert transform is not None
@@ -299,17 +327,21 @@ def flight(captures: Captures, width: int, time: float = 0.5) -> Shot:
 
 
 PICTURES: dict[str, Callable[[Captures, int], Shot]] = {
-    one.__name__: one for one in (sunset, night, cow, lake, biker, studio, fur, statue)
+    one.__name__: one for one in (sunset, day, night, cow, lake, biker, studio, fur, tinted, gloss, statue)
 }
 VIDEOS: dict[str, tuple[Callable[[Captures, int, float], Shot], list[float], int]] = {
     "hero": (sunset, list(np.linspace(32.0, -3.5, 16)), 10),
-    "cow_walk": (cow, list(np.linspace(0.0, 1.0, 24)), 10),
+    "daylight": (day, list(np.linspace(5.5, 21.5, 33)), 10),
     "flight": (flight, list(np.linspace(0.0, 1.0, 16)), 8),
 }
 """Function of the shot, its argument in each frame, and frames a second. Two play forwards, then backwards."""
 
 
-def develop(shot: Shot, samples: int, *, lit: bool) -> Image.Image:
+COLOR_STRENGTHS = {"tinted": 3.0}
+"""How strongly shadows have the colours of what casts them, for pictures where they do."""
+
+
+def develop(shot: Shot, samples: int, *, lit: bool, color_strength: float = 0.0) -> Image.Image:
     """Returns a lit and denoised image of a shot, or one of its captures alone, as captured."""
     scene, view = shot
     if not lit:
@@ -323,6 +355,7 @@ def develop(shot: Shot, samples: int, *, lit: bool) -> Image.Image:
         samples=samples,
         tone_map=ls.ToneMap.NEUTRAL,
         aovs=("albedo",),
+        shadow_rays=ls.config.ShadowConfig(color_strength=color_strength),
     )
     return picture(ls.render(scene, view, config).denoised())
 
@@ -349,7 +382,8 @@ def main() -> None:
     captures = Captures(options.data, options.environments)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     if options.name in PICTURES:
-        image = develop(PICTURES[options.name](captures, options.width), options.samples, lit=not options.unlit)
+        shot, strength = PICTURES[options.name](captures, options.width), COLOR_STRENGTHS.get(options.name, 0.0)
+        image = develop(shot, options.samples, lit=not options.unlit, color_strength=strength)
         image.save(options.output, quality=90)
         return
     make, values, fps = VIDEOS[options.name]
