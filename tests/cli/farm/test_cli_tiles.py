@@ -91,9 +91,9 @@ def test_render_in_tiles_continues_after_a_killed_process(work, tmp_path: Path) 
         "import lumisplat as ls\n"
         "from lumisplat.cli import main\n"
         "save, made = ls.Frame.save, []\n"
-        "def counted(frame, *args):\n"
+        "def counted(frame, *args, **rest):\n"
         "    if len(made) == 2: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "    made.append(save(frame, *args))\n"
+        "    made.append(save(frame, *args, **rest))\n"
         "ls.Frame.save = counted\n"
         "main(sys.argv[1:])\n"
     )

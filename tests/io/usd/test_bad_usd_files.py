@@ -142,6 +142,7 @@ def test_2000_mutated_usd_files_of_each_kind_either_load_or_are_refused(tmp_path
     check_mutations(tmp_path, extension, range(2000))
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize(("extension", "count"), [(".usda", 8), (".usdc", 16)])
 def test_few_mutated_usd_animations_either_load_or_are_refused(tmp_path: Path, extension: str, count: int) -> None:
     """Eight mutations are of a text file and 16 of a binary file."""

@@ -115,7 +115,9 @@ def test_realtime_frames_after_a_reset_equal_those_of_a_new_renderer() -> None:
     np.testing.assert_array_equal(frame_after(renderer, ROOM, 3).color, first.color)
 
 
-@pytest.mark.parametrize("size", [(64, 48), (142, 108)], ids=["smaller", "larger"])
+@pytest.mark.parametrize(
+    "size", [pytest.param((64, 48), marks=pytest.mark.deep), (142, 108)], ids=["smaller", "larger"]
+)
 def test_sequence_continues_when_the_image_size_changes(size: tuple[int, int]) -> None:
     """The first frame of another size has less than three quarters of the error of a new renderer's first frame."""
     camera = room_camera(*size)

@@ -282,7 +282,7 @@ def seen_floor(camera: ls.Camera, end: float, offset: tuple[float, float]) -> Vi
     return surfaces
 
 
-@pytest.mark.parametrize("slope", [1.0, -1.0])
+@pytest.mark.parametrize("slope", [1.0, pytest.param(-1.0, marks=pytest.mark.deep)])
 def test_floor_seen_at_a_grazing_angle_loses_no_screen_probe_light_far_away(slope: float) -> None:
     """Light that changes with distance is right within 2 % far away, after any number of frames.
 

@@ -33,7 +33,14 @@ def paths(scene: ls.Scene, camera: ls.Camera, samples: int) -> ls.Frame:
     return ls.render(scene, camera, config, device="cpu")
 
 
-@pytest.mark.parametrize("material", [MIRROR, clear_glass(), replace(clear_glass(), metallic=0.5)])
+@pytest.mark.parametrize(
+    "material",
+    [
+        pytest.param(MIRROR, marks=pytest.mark.deep),
+        pytest.param(clear_glass(), marks=pytest.mark.deep),
+        replace(clear_glass(), metallic=0.5),
+    ],
+)
 def test_mirrors_and_glass_are_invisible_in_a_white_furnace_in_real_time(material: ls.MaterialPbr) -> None:
     """White surfaces, mirrors and clear glass have radiance 1.
 
@@ -68,7 +75,9 @@ GREEN = replace(clear_glass(), base_color=(0.5, 0.9, 0.6))
         pytest.param([PANE], marks=pytest.mark.deep),
         [PANE, ls.MeshInstance(PANE.mesh, position=(2.0, 1.5, 0.5))],
         [ls.MeshInstance(box((3.0, 0.08, 3.5), GREEN), position=(2.0, 1.9, 2.2))],
-        [ls.MeshInstance(box((0.05, 2.4, 4.0), MIRROR), position=(0.1, 1.4, 2.5))],
+        pytest.param(
+            [ls.MeshInstance(box((0.05, 2.4, 4.0), MIRROR), position=(0.1, 1.4, 2.5))], marks=pytest.mark.deep
+        ),
     ],
     ids=["a pane before a wall", "two panes", "a coloured table", "a mirror on a wall"],
 )

@@ -314,10 +314,9 @@ def test_images_traced_by_ray_packets_equal_those_of_single_rays(
     assert together.alpha.max() > 0.0
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("normal_method", list(ls.config.NormalMethod))
-@pytest.mark.parametrize(
-    "hit_distance", [ls.config.HitDistance.PEAK, pytest.param(ls.config.HitDistance.HULL, marks=pytest.mark.deep)]
-)
+@pytest.mark.parametrize("hit_distance", [ls.config.HitDistance.PEAK, ls.config.HitDistance.HULL])
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_ray_packets_give_the_bits_of_single_rays_if_no_operations_are_fused(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, normal_method: ls.config.NormalMethod

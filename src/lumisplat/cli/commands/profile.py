@@ -6,9 +6,8 @@ import csv
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
@@ -17,7 +16,9 @@ from lumisplat.cli.options.camera import ViewpointGroup, ViewpointOptions
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand, own_options_first, setting
 from lumisplat.cli.output.console import counted, print_columns, progress_bars
 from lumisplat.cli.output.images import check_folder
-from lumisplat.io.images.texture import write_png
+
+if TYPE_CHECKING:
+    from lumisplat.math.arrays import Doubles
 
 _HEADER = ("hit", "t", "alpha", "transmittance", "gaussian", "capture")
 
@@ -66,6 +67,8 @@ class Profile(LoadingCommand, DeviceCommand):
         hits = ls.trace_rays(scene, origin, [direction], config, device=self.device, profile=True)
         assert hits.profile is not None
         if suffix == ".png":
+            from lumisplat.io.images.texture import write_png
+
             assert self.output is not None
             write_png(self.output, hits.profile.plot(iso=config.trace.depth_iso_transmittance))
             print(f"{self.output}: {counted(len(hits.profile.t), 'Gaussian')}")
@@ -109,7 +112,7 @@ class Profile(LoadingCommand, DeviceCommand):
         return x, y
 
 
-def _ray(camera: ls.Camera, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
+def _ray(camera: ls.Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
     """Returns the world-space origin and unit direction of a pixel's ray.
 
     Raises:
@@ -118,10 +121,10 @@ def _ray(camera: ls.Camera, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
     along, turn = camera.ray_directions()[y, x], camera.camera_from_world[:3, :3]
     if not along.any():
         raise ls.ConfigError(f"pixel {x},{y} has no ray: the lens shows nothing there")
-    start = np.zeros(3)
-    if camera.model is ls.CameraModel.ORTHOGRAPHIC:
-        start[:2] = (x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy
-    return camera.eye + start @ turn, along @ turn
+    if camera.model is not ls.CameraModel.ORTHOGRAPHIC:
+        return camera.eye, along @ turn
+    right, down = (x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy
+    return camera.eye + right * turn[0] + down * turn[1], along @ turn
 
 
 def _rows(profile: ls.rays.RayProfile) -> list[list[str]]:
