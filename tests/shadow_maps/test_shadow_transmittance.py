@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +13,15 @@ from lumisplat.config import Absorption, DeepShadowConfig
 from lumisplat.math.transforms import matrices_from_quaternions
 
 LIGHT = np.array([0.3, -3.0, 0.2])
+SUN = ls.LightDirectional((-0.1, 1.0, 0.2))
 WEIGHTS = np.array([1.0, -0.5, 2.0, 0.7, 0.4])
 POINTS = np.array([[0.1, 1.0, 0.0], [0.0, 0.1, 0.1], [-0.3, 2.0, 0.4], [0.5, -0.2, 0.0], [1.5, 1.0, 2.0]])
 """Points behind, within and beside the casters."""
+
+
+def loss(gaussians: ls.Gaussians, light: object, config: DeepShadowConfig) -> float:
+    """Returns the transmittances at the points, weighted."""
+    return float(WEIGHTS @ ls.gradients.shadow_transmittance(gaussians, light, POINTS, config).transmittance)
 
 
 def casters() -> ls.Gaussians:
@@ -27,11 +34,12 @@ def casters() -> ls.Gaussians:
     return ls.Gaussians(means, quaternions, scales, rng.uniform(0.3, 0.95, 5), np.zeros((5, 1, 3)))
 
 
+@pytest.mark.parametrize("light", [LIGHT, SUN], ids=["point", "parallel"])
 @pytest.mark.parametrize("absorption", list(Absorption))
-def test_shadow_transmittance_equals_the_integral_of_the_absorption(absorption: Absorption) -> None:
-    """The midpoint rule over the segment, with the formulas of the method's page."""
+def test_shadow_transmittance_equals_the_integral_of_the_absorption(absorption: Absorption, light: object) -> None:
+    """The midpoint rule over the segment, with the method page's formulas; parallel light starts 50 units away."""
     gaussians, config = casters(), DeepShadowConfig(absorption=absorption, strength=0.4)
-    found = ls.gradients.shadow_transmittance(gaussians, LIGHT, POINTS, config).transmittance
+    found = ls.gradients.shadow_transmittance(gaussians, light, POINTS, config).transmittance
     scales = gaussians.scales.astype(np.float64)
     factor = {
         Absorption.SIMPLE: np.ones(5),
@@ -42,31 +50,30 @@ def test_shadow_transmittance_equals_the_integral_of_the_absorption(absorption: 
     precision = np.linalg.inv(turned @ turned.transpose(0, 2, 1))
     u = (np.arange(1000) + 0.5) / 1000
     for value, point in zip(found, POINTS, strict=True):
-        offset = LIGHT + u[:, None, None] * (point - LIGHT) - gaussians.means
+        start = point - 50.0 * np.array(SUN.direction) if light is SUN else LIGHT
+        offset = start + u[:, None, None] * (point - start) - gaussians.means
         exponent = np.einsum("uni,nij,unj->un", offset, precision, offset)
-        depth = np.linalg.norm(point - LIGHT) * (np.exp(-0.5 * exponent) @ beta).mean()
+        depth = np.linalg.norm(point - start) * (np.exp(-0.5 * exponent) @ beta).mean()
         assert value == pytest.approx(np.exp(-depth), rel=1e-4)
 
 
-def test_shadow_transmittance_equals_a_fine_deep_shadow_map() -> None:
+@pytest.mark.parametrize("light", [LIGHT, ls.LightSphere(LIGHT, 0.5), SUN], ids=["point", "sphere", "parallel"])
+def test_shadow_transmittance_equals_a_fine_deep_shadow_map(light: object) -> None:
     """A map of many texels and bins has the same values up to its interpolation."""
     gaussians = casters().subset(np.arange(4))
     config = DeepShadowConfig(resolution=1024, bins=512)
-    shadow = ls.DeepShadowMap.build(gaussians, LIGHT, POINTS, config, device="cpu")
-    exact = ls.gradients.shadow_transmittance(gaussians, LIGHT, POINTS, config).transmittance
+    shadow = ls.DeepShadowMap.build(gaussians, light, POINTS, config, device="cpu")
+    exact = ls.gradients.shadow_transmittance(gaussians, light, POINTS, config).transmittance
     assert exact.min() < 0.5
     np.testing.assert_allclose(shadow.transmittance(POINTS), exact, atol=2e-3)
 
 
+@pytest.mark.parametrize("light", [LIGHT, SUN], ids=["point", "parallel"])
 @pytest.mark.parametrize("absorption", [Absorption.SIMPLE, Absorption.AVERAGE, Absorption.MASS])
-def test_gradients_of_shadow_transmittance_equal_central_differences(absorption: Absorption) -> None:
-    """By each parameter of each Gaussian, and by the light; the large Gaussian's short segments take quadrature."""
+def test_gradients_of_shadow_transmittance_equal_central_differences(absorption: Absorption, light: object) -> None:
+    """By each parameter of each Gaussian; the large Gaussian's short segments take quadrature."""
     gaussians, config = casters(), DeepShadowConfig(absorption=absorption, strength=0.4)
-
-    def loss(changed: ls.Gaussians, light: np.ndarray = LIGHT) -> float:
-        return float(WEIGHTS @ ls.gradients.shadow_transmittance(changed, light, POINTS, config).transmittance)
-
-    found, by_light = ls.gradients.shadow_transmittance(gaussians, LIGHT, POINTS, config).gradients(WEIGHTS)
+    found, _ = ls.gradients.shadow_transmittance(gaussians, light, POINTS, config).gradients(WEIGHTS)
     for name in ("means", "rotations_wxyz", "scales", "opacities"):
         values = getattr(gaussians, name)
         expected = np.zeros(values.shape)
@@ -75,14 +82,28 @@ def test_gradients_of_shadow_transmittance_equal_central_differences(absorption:
             for step in (1e-3, -1e-3):
                 moved = values.copy()
                 moved[index] += step
-                ends.append((loss(replace(gaussians, **{name: moved})), float(moved[index])))
+                ends.append((loss(replace(gaussians, **{name: moved}), light, config), float(moved[index])))
             expected[index] = (ends[0][0] - ends[1][0]) / (ends[0][1] - ends[1][1])
         assert np.abs(expected).max() > 1e-4
         np.testing.assert_allclose(getattr(found, name), expected, atol=2e-4 * np.abs(expected).max(), err_msg=name)
     assert found.sh.shape == gaussians.sh.shape and not found.sh.any()
-    steps = 1e-5 * np.eye(3)
-    expected = [(loss(gaussians, LIGHT + step) - loss(gaussians, LIGHT - step)) / 2e-5 for step in steps]
-    np.testing.assert_allclose(by_light, expected, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("start", "light_at"),
+    [(LIGHT, lambda position: position), (np.array(SUN.direction), ls.LightDirectional)],
+    ids=["position", "direction"],
+)
+def test_gradient_of_shadow_transmittance_by_the_light_equals_central_differences(
+    start: np.ndarray, light_at: Callable[[np.ndarray], object]
+) -> None:
+    """By the position of a point light, and by the direction of parallel light, which is normalised after each step."""
+    gaussians, config = casters(), DeepShadowConfig(strength=0.4)
+    result = ls.gradients.shadow_transmittance(gaussians, light_at(start), POINTS, config)
+    ends = [[loss(gaussians, light_at(start + sign * step), config) for sign in (1, -1)] for step in 1e-5 * np.eye(3)]
+    expected = np.subtract(*np.transpose(ends)) / 2e-5
+    assert np.abs(expected).max() > 0.05
+    np.testing.assert_allclose(result.gradients(WEIGHTS)[1], expected, atol=1e-7)
 
 
 def test_shadow_transmittance_refuses_points_without_a_direction() -> None:

@@ -28,11 +28,11 @@ from lumisplat.device.shadow_map.atlas import (
 from lumisplat.device.shadow_map.lookup import FootprintSampling, Receivers, ShadowBound
 from lumisplat.device.shadow_map.optical_depth import Column
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import IntArray, three_numbers
+from lumisplat.math.arrays import IntArray
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.scene.lights import LightDirectional, PlacedLight
+from lumisplat.scene.lights import LightDirectional, PlacedLight, vector
 from lumisplat.scene.local_frame import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
@@ -57,7 +57,7 @@ def source_of(light: object) -> Source:
         raise SceneError(
             f"light_position is a {type(light).__name__}, expected a point (3,) or a light with position or direction"
         )
-    return three_numbers("light_position", cast("npt.ArrayLike", light))
+    return np.array(vector("light_position", cast("npt.ArrayLike", light)))
 
 
 def atlas_of(source: Source, around: PlacedGaussians, config: DeepShadowConfig) -> Atlas:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import erf  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import erf, erfc  # pyright: ignore[reportMissingTypeStubs]
 
 from lumisplat.config import Absorption, DeepShadowConfig
 from lumisplat.config.checks import check_kind
@@ -19,6 +19,8 @@ from lumisplat.math.arrays import Doubles, finite_array
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.renderer.gradients.arrays import SetGradient
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.lights import LightDirectional
+from lumisplat.shadow_maps.atlas import Source, source_of
 
 _SHORT = 1.0
 """Segments whose squared length in canonical space is below this are summed by quadrature: the closed form of the
@@ -35,19 +37,21 @@ class ShadowTransmittance:
     transmittance: Doubles
     """Transmittance at each of P points, 0..1, shape (P,)."""
     _casters: Gaussians
-    _light: Doubles
+    _light: Source
     _points: Doubles
     _config: DeepShadowConfig
 
     def gradients(self, dL_dtransmittance: npt.ArrayLike) -> tuple[SetGradient, Doubles]:
-        """Returns the gradients of a loss by the casters, and by the position of the light.
+        """Returns the gradients of a loss by the casters, and by the position or direction of the light.
 
         Args:
             dL_dtransmittance: Gradient of the loss by ``transmittance``, shape (P,).
 
         Returns:
             Gradients by means, rotations, scales and opacities, as `SplatGradients.sets` has them (those by SH are 0),
-            and the gradient by the light's position, shape (3,). Opacities of 0.99 and above have gradients of 0.
+            and the gradient by the light, shape (3,): by its position, or by ``direction`` of a `LightDirectional`. The
+            latter is perpendicular to the direction, which is normalised after each update. Opacities of 0.99 and above
+            have gradients of 0.
 
         Raises:
             SceneError: The shape is not (P,), or values are not finite.
@@ -70,25 +74,32 @@ class ShadowTransmittance:
             start_world = np.einsum("nik,pnk->pni", model.world_from_canonical_gradient, by_start)
             along_world = np.einsum("nik,pnk->pni", model.world_from_canonical_gradient, by_along)
             sums.means -= start_world.sum(axis=0)
-            light += (start_world - along_world).sum(axis=(0, 1))
-            light -= ((weights[rows, None] * depth).sum(axis=1) / segment.length**2) @ segment.ray
+            if isinstance(self._light, LightDirectional):
+                light -= along_world.sum(axis=(0, 1))
+            else:
+                light += (start_world - along_world).sum(axis=(0, 1))
+                light -= ((weights[rows, None] * depth).sum(axis=1) / segment.length**2) @ segment.ray
             sums.scales -= (by_start * segment.start + by_along * segment.along).sum(axis=0) / model.scales
-            sums.rotations += np.einsum("ni,pnk->nik", self._light - model.means, by_start) / model.scales[:, None]
+            offsets = segment.origin[:, None] - model.means
+            sums.rotations += np.einsum("pni,pnk->nik", offsets, by_start) / model.scales[:, None]
             sums.rotations += np.einsum("pi,pnk->nik", segment.ray, by_along) / model.scales[:, None]
+        if isinstance(self._light, LightDirectional):
+            light -= (light @ self._light.direction) * np.array(self._light.direction)
         return model.gradient(sums, by_beta), light
 
 
 def shadow_transmittance(
-    casters: Gaussians, light_position: npt.ArrayLike, points: npt.ArrayLike, config: DeepShadowConfig | None = None
+    casters: Gaussians, light_position: object, points: npt.ArrayLike, config: DeepShadowConfig | None = None
 ) -> ShadowTransmittance:
-    """Computes the transmittance of Gaussians from a point light to points, exactly and with gradients.
+    """Computes the transmittance of Gaussians from a light to points, exactly and with gradients.
 
     It is what a `DeepShadowMap` tabulates, without texels, bins and culling. All pairs of a point and a Gaussian are
     visited in NumPy: it is for fits of thousands of points and Gaussians, not for frames.
 
     Args:
         casters: N Gaussians that block light, world space.
-        light_position: Position of the light, world space, shape (3,).
+        light_position: A light, or the position of a point light, world space, shape (3,). Lights with an extent are
+            treated as points at their centre. The rays of a `LightDirectional` are parallel.
         points: P points, world space, shape (P, 3), none of them at the light.
         config: Its ``absorption`` and ``strength`` count; None: the defaults.
 
@@ -102,13 +113,11 @@ def shadow_transmittance(
     config = DeepShadowConfig() if config is None else config
     check_kind("config", config, DeepShadowConfig)
     check_instance(casters, Gaussians, "shadow_transmittance takes Gaussians")
-    light = finite_array("light_position", light_position, np.float64)
+    light = source_of(light_position)
     given = finite_array("points", points, np.float64)
-    if light.shape != (3,):
-        raise SceneError(f"light_position has shape {light.shape}, expected (3,)")
     if given.ndim != 2 or given.shape[1] != 3:
         raise SceneError(f"points has shape {given.shape}, expected (P, 3)")
-    if (given == light).all(axis=1).any():
+    if not isinstance(light, LightDirectional) and (given == light).all(axis=1).any():
         raise SceneError("points has one at the light, where no direction is defined")
     model = _Model(casters, config)
     depth = np.zeros(len(given))
@@ -176,37 +185,52 @@ class _Model:
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """Segments from a light to P points, in the canonical space of N Gaussians."""
+    """Segments of the rays that reach P points, in the canonical space of N Gaussians.
 
+    Those of a point light lead from the light to the points; those of parallel light from the points against the light,
+    without end. An axis of length 1 stands for all points.
+    """
+
+    origin: Doubles
+    """Where the segments start, world space, shape (1, 3) or (P, 3)."""
     ray: Doubles
-    """Vectors from the light to the points, world space, shape (P, 3)."""
+    """Vectors along the segments, world space, shape (P, 3) or (1, 3): to their ends, or of length 1."""
     length: Doubles
-    """Lengths of these, scene units, shape (P,)."""
+    """Lengths of these, scene units, shape (P,) or (1,)."""
     start: Doubles
-    """The light in canonical space, shape (1, N, 3)."""
+    """The starts in canonical space, shape (1, N, 3) or (P, N, 3)."""
     along: Doubles
-    """The vectors in canonical space, shape (P, N, 3)."""
+    """The vectors in canonical space, shape (P, N, 3) or (1, N, 3)."""
     moments: tuple[Doubles, Doubles, Doubles]
-    """``integral of u^k exp(-1/2 |start + u along|^2)`` over 0..1 for k = 0, 1, 2, shape (P, N) each."""
+    """``integral of u^k exp(-1/2 |start + u along|^2)`` over 0..1, or 0..infinity, for k = 0, 1, 2, shape (P, N) each.
+    """
 
     @classmethod
-    def of(cls, model: _Model, light: Doubles, points: Doubles) -> _Segment:
-        ray = points - light
-        start = np.einsum("nik,ni->nk", model.world_from_canonical_gradient, light - model.means)[None]
+    def of(cls, model: _Model, light: Source, points: Doubles) -> _Segment:
+        is_parallel = isinstance(light, LightDirectional)
+        origin = points if is_parallel else light[None]
+        ray = -np.array([light.direction]) if is_parallel else points - light
+        start = np.einsum("nik,pni->pnk", model.world_from_canonical_gradient, origin[:, None] - model.means)
         along = np.einsum("nik,pi->pnk", model.world_from_canonical_gradient, ray)
-        return cls(ray, np.linalg.norm(ray, axis=1), start, along, _moments(start, along))
+        moments = _endless_moments(start, along) if is_parallel else _moments(start, along)
+        return cls(origin, ray, np.linalg.norm(ray, axis=1), start, along, moments)
+
+
+def _endless_moments(start: Doubles, along: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+    """Returns the moments of `_Segment.moments` over 0..infinity, by the complementary error function."""
+    a, b, peak = _lines(start, along)
+    zeroth = peak * erfc(b / np.sqrt(2.0 * a))
+    first = (_density(start) - b * zeroth) / a
+    return zeroth, first, (zeroth - b * first) / a
 
 
 def _moments(start: Doubles, along: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """Returns the moments of `_Segment.moments`: by error functions, and by quadrature for short segments."""
-    a, b = (along * along).sum(axis=2), (start * along).sum(axis=2)
+    """Returns the moments of `_Segment.moments` over 0..1: by error functions, and by quadrature for short segments."""
+    a, b, peak = _lines(start, along)
     root = np.sqrt(2.0 * a)
-    miss = start - (b / a)[..., None] * along
-    peak = np.sqrt(np.pi / (2.0 * a)) * np.exp(-0.5 * (miss * miss).sum(axis=2))
     zeroth = peak * (erf((a + b) / root) - erf(b / root))
-    end = start + along
-    first_value, last_value = (np.exp(-0.5 * (one * one).sum(axis=2)) for one in (start, end))
-    first = (first_value - last_value - b * zeroth) / a
+    last_value = _density(start + along)
+    first = (_density(start) - last_value - b * zeroth) / a
     second = (zeroth - last_value - b * first) / a
     short = a < _SHORT
     if short.any():
@@ -216,6 +240,18 @@ def _moments(start: Doubles, along: Doubles) -> tuple[Doubles, Doubles, Doubles]
         for power, moment in enumerate((zeroth, first, second)):
             moment[short] = value @ (0.5 * _WEIGHTS * u**power)
     return zeroth, first, second
+
+
+def _lines(start: Doubles, along: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+    """Returns ``along . along``, ``start . along``, and half the integral of `_density` over each whole line."""
+    a, b = (along * along).sum(axis=2), (start * along).sum(axis=2)
+    miss = start - (b / a)[..., None] * along
+    return a, b, np.sqrt(np.pi / (2.0 * a)) * _density(miss)
+
+
+def _density(canonical: Doubles) -> Doubles:
+    """Returns ``exp(-1/2 |x|^2)`` of canonical vectors, shape (..., 3) to (...)."""
+    return np.exp(-0.5 * (canonical * canonical).sum(axis=2))
 
 
 def _chunks(points: int, casters: int) -> list[slice]:
