@@ -30,6 +30,12 @@ def encode_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
     return np.copysign(encoded, linear).astype(linear.dtype)
 
 
+def decode_slope(encoded: npt.ArrayLike) -> Doubles:
+    """Returns the derivative of `decode_srgb`; its reciprocal is that of `encode_srgb` at the linear value."""
+    magnitude = np.abs(np.asarray(encoded, np.float64))
+    return np.where(magnitude <= 0.04045, 1.0 / 12.92, 2.4 / 1.055 * ((magnitude + 0.055) / 1.055) ** 1.4)
+
+
 def albedo_in_range(albedo: Doubles) -> Doubles:
     """Scales albedos with a channel above 1 down until their largest channel is 1; shape (N, 3) for N albedos.
 

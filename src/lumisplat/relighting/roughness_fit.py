@@ -13,7 +13,7 @@ import warp as wp
 
 from lumisplat.constants import RADIANCE_LEAST, RIDGE, SPREAD_SHARE
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_view
-from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.math.color import decode_slope, decode_srgb, encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting import lobe_kernels
 from lumisplat.relighting.albedo_fit import EnvironmentCells, Light
@@ -238,9 +238,7 @@ def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
     """Returns sRGB values of linear light clipped at 1, and their derivatives by the light, 0 where clipped."""
     inside = np.clip(linear, RADIANCE_LEAST, 1.0)
     displayed = np.asarray(encode_srgb(inside), np.float64)
-    # Derivative of the sRGB power law: 1.055 / 2.4 x^(1 / 2.4 - 1) = (displayed + 0.055) / (2.4 x).
-    slope = np.where(inside <= 0.0031308, 12.92, (displayed + 0.055) / (2.4 * inside))
-    return displayed, np.where(linear < 1.0, slope, 0.0)
+    return displayed, np.where(linear < 1.0, 1.0 / decode_slope(displayed), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
