@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lumisplat.math.sh import sh_basis
+from lumisplat.math.sh import sh_basis, sh_gradient
 from support.oracles.raster_oracle import sh_basis as twin_basis
 from support.scenes.sphere import sphere_quadrature, unit
 
@@ -31,6 +31,23 @@ def test_sh_basis_of_lower_degree_is_a_prefix_of_higher_degrees() -> None:
     highest = sh_basis(directions, 8)
     for degree in range(8):
         np.testing.assert_array_equal(sh_basis(directions, degree), highest[:, : (degree + 1) ** 2])
+
+
+def test_sh_gradients_equal_central_differences_on_the_sphere() -> None:
+    """In two directions across each of many, the poles among them; along a direction the gradient is 0."""
+    directions = np.concatenate([unit(1, 20), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
+    found = sh_gradient(directions, 8)
+    assert found.shape == (22, 81, 3)
+    np.testing.assert_allclose(np.einsum("nki,ni->nk", found, directions), 0.0, atol=1e-12)
+    for axis in ([0.2, 1.0, 0.0], [1.0, 0.0, 0.1]):
+        across = np.cross(directions, axis)
+        ends = []
+        for step in (1e-5, -1e-5):
+            moved = directions + step * across
+            ends.append(sh_basis(moved / np.linalg.norm(moved, axis=1, keepdims=True), 8))
+        np.testing.assert_allclose(
+            np.einsum("nki,ni->nk", found, across), (ends[0] - ends[1]) / 2e-5, atol=1e-7, err_msg=str(axis)
+        )
 
 
 def test_sh_basis_accepts_directions_in_arrays_of_any_shape_and_at_the_poles() -> None:

@@ -12,6 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import sh_basis
+from lumisplat.relighting.probe import fit_gradient
 from lumisplat.renderer.cubemap import cube_solid_angles, render_cube
 from support.scenes.raster_scenes import flat_sh, one_gaussian, random_gaussians, rotation
 from support.scenes.sphere import sphere_quadrature, unit
@@ -70,6 +71,16 @@ def test_probe_fit_recovers_constant_radiance() -> None:
     expected[0] = np.sqrt(4.0 * np.pi)
     np.testing.assert_allclose(probe.coefficients, expected, atol=1e-8)
     np.testing.assert_allclose(probe.irradiance(unit(3, 20)), np.pi, rtol=1e-6)
+
+
+def test_gradient_of_a_probe_fit_is_the_adjoint_of_the_fit() -> None:
+    """The fit is linear in the radiance: ``<g, fit(y)> = <gradient(g), y>`` for any g and y, also of uneven samples."""
+    rng = np.random.default_rng(6)
+    directions, weights = unit(6, 40), rng.uniform(0.1, 3.0, 40).astype(np.float32)
+    radiance, by_coefficients = rng.normal(size=(40, 3)).astype(np.float32), rng.normal(size=(9, 3))
+    probe = ls.avatars.EnvironmentProbe.fit(directions, radiance, weights, 2, 0.1)
+    by_radiance = fit_gradient(directions, weights.astype(np.float64), by_coefficients, 0.1)
+    assert (by_radiance * radiance).sum() == pytest.approx((by_coefficients * probe.coefficients).sum(), rel=1e-5)
 
 
 @pytest.mark.parametrize(("count", "unit_of_weights"), [(800, 1.0), (20_000, 1.0), (800, 1e-4)])

@@ -13,33 +13,10 @@ import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.demo import shapes
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.math.sh import sh_basis
 from lumisplat.relighting.probe_transfer import light_scales
+from support.oracles.probe_oracle import some_probe, transfer_scales
 from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaussians, similarity
 from support.scenes.sphere import unit
-
-
-def some_probe(seed: int = 0, degree: int = 3) -> ls.avatars.EnvironmentProbe:
-    """Returns a probe of coloured light with some contrast and some negative radiance."""
-    coefficients = np.random.default_rng(seed).normal(size=((degree + 1) ** 2, 3))
-    coefficients[0] += 3.0
-    return ls.avatars.EnvironmentProbe(coefficients)
-
-
-def scales_twin(probe: ls.avatars.EnvironmentProbe, normals: np.ndarray, config: ls.config.RelightConfig) -> np.ndarray:
-    """Returns the scales by equations 9 and 10 of Mir et al. in float64, one normal at a time, shape (N, 3)."""
-    theta = (np.arange(config.rows) + 0.5) * np.pi / config.rows
-    phi = (np.arange(2 * config.rows) + 0.5) * np.pi / config.rows
-    theta, phi = (grid.ravel() for grid in np.meshgrid(theta, phi, indexing="ij"))
-    # Theta is measured from y, as in environments.
-    omega = np.stack([-np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], axis=1)
-    weights = np.sin(theta)
-    radiance = sh_basis(omega, probe.degree) @ probe.coefficients
-    scales = []
-    for normal in normals:
-        lobe = weights * np.maximum(0.0, omega @ normal) ** config.exponent
-        scales.append(lobe @ radiance / lobe.sum())
-    return np.clip(scales, 0.0, config.scale_max)
 
 
 def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
@@ -61,7 +38,7 @@ def test_factors_by_which_relight_scales_colours_match_the_equations_of_mir_et_a
     """There are more normals than one batch holds, and some lie along the axes."""
     config = ls.config.RelightConfig(**settings)
     normals = np.concatenate([np.eye(3), -np.eye(3), unit(1, 2500)])
-    twin = scales_twin(some_probe(), normals, config)
+    twin = transfer_scales(some_probe().coefficients, normals, config)
     np.testing.assert_allclose(light_scales(some_probe(), 7.0 * normals, config), twin, atol=1e-5)
     assert (twin == 0.0).any() or config.exponent < 7.0
 
@@ -73,7 +50,10 @@ def test_relight_with_exponent_1_scales_colours_by_irradiance_over_pi() -> None:
     config = ls.config.RelightConfig(scale_max=1e3)
     np.testing.assert_allclose(light_scales(probe, normals, config), exact, rtol=1e-5)
     for rows, most in ((16, 0.02), (64, 0.0015)):
-        assert np.abs(scales_twin(probe, normals, replace(config, rows=rows)) - exact).max() < most * exact.max()
+        assert (
+            np.abs(transfer_scales(probe.coefficients, normals, replace(config, rows=rows)) - exact).max()
+            < most * exact.max()
+        )
 
 
 @pytest.mark.parametrize("exponent", [2.0, 8.0, 64.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,9 @@ _Floats = npt.NDArray[np.floating]
 _C1 = 0.4886025119029199
 _C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 _C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
+
+_IMAGINARY_STEP = 1e-100
+"""Imaginary step of `sh_gradient`, whose square is 0 beside any value of float64."""
 
 _ROTATED_AT_ONCE = 8192
 """Number of functions that `rotate_sh` rotates at once: their basis values fit the CPU cache."""
@@ -34,11 +38,26 @@ def sh_basis(directions: npt.ArrayLike, degree: int, dtype: type[np.floating] = 
     Returns:
         Shape (..., (degree + 1)^2), the constant function first.
     """
-    x, y, z = np.moveaxis(np.asarray(directions, dtype), -1, 0)
-    functions = _polynomials(x, y, z, degree)
-    if degree > 3:
-        functions += _recurrence(x, y, z, degree)
-    return np.moveaxis(np.array(functions), 0, -1)
+    return _functions(np.asarray(directions, dtype), degree)
+
+
+def sh_gradient(directions: npt.ArrayLike, degree: int) -> npt.NDArray[np.float64]:
+    """Evaluates the gradients of the real spherical harmonics over the sphere, exact to rounding.
+
+    The functions are polynomials of x, y and z. Their derivative is the imaginary part for a tiny imaginary step, which
+    cancels nothing (Squire and Trapp 1998: Using Complex Variables to Estimate Derivatives of Real Functions).
+
+    Args:
+        directions: Unit vectors, shape (..., 3).
+        degree: As for `sh_basis`.
+
+    Returns:
+        Gradients of the K functions, perpendicular to the direction, shape (..., K, 3).
+    """
+    along = np.asarray(directions, np.float64)
+    steps = 1j * _IMAGINARY_STEP * np.eye(3)
+    slopes = np.stack([np.imag(_functions(along + step, degree)) for step in steps], axis=-1) / _IMAGINARY_STEP
+    return slopes - (slopes @ along[..., None]) * along[..., None, :]
 
 
 def even_directions(count: int) -> npt.NDArray[np.float64]:
@@ -98,6 +117,15 @@ def rotate_sh(sh: npt.ArrayLike, rotations: npt.ArrayLike) -> _Floats:
             basis = sh_basis(before, level, coefficients.dtype.type)[..., band]
             rotated[rows, band] = from_values.astype(coefficients.dtype) @ (basis @ coefficients[rows, band])
     return rotated
+
+
+def _functions(directions: npt.NDArray[Any], degree: int) -> npt.NDArray[Any]:
+    """Evaluates the basis functions in the precision of the directions, also of complex ones."""
+    x, y, z = np.moveaxis(directions, -1, 0)
+    functions = _polynomials(x, y, z, degree)
+    if degree > 3:
+        functions += _recurrence(x, y, z, degree)
+    return np.moveaxis(np.array(functions), 0, -1)
 
 
 def _polynomials(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats]:

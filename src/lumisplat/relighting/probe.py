@@ -212,7 +212,7 @@ class EnvironmentProbe:
         Raises:
             SceneError: A direction is not finite or has length 0.
         """
-        return self._evaluate(directions, np.ones(self.degree + 1))
+        return self._evaluate(directions, np.ones(len(self.coefficients)))
 
     def irradiance(self, normals: npt.ArrayLike) -> FloatArray:
         """Returns the irradiance of surfaces: radiance times cosine, integrated over the hemisphere about each normal.
@@ -229,7 +229,7 @@ class EnvironmentProbe:
         Raises:
             SceneError: A normal is not finite or has length 0.
         """
-        return self._evaluate(normals, np.array([_cosine_factor(level) for level in range(self.degree + 1)]))
+        return self._evaluate(normals, cosine_factors(self.degree))
 
     def image(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> FloatArray:
         """Returns the radiance as a latitude-longitude image, in the axes of `LightEnvironment`.
@@ -290,13 +290,13 @@ class EnvironmentProbe:
         write_radiance(path, self.image(height, rotation_wxyz))
 
     def _evaluate(self, directions: npt.ArrayLike, factors: Doubles) -> FloatArray:
-        """Evaluates the SH in directions of any length; ``factors``, one per SH degree, multiply the coefficients."""
+        """Evaluates the SH in directions of any length; ``factors``, shape (K,), multiply the coefficients."""
         checked = float_array("directions", directions)
         if checked.ndim == 0 or checked.shape[-1] != 3:
             raise SceneError(f"directions has shape {checked.shape}, expected (..., 3)")
         unit = normalise_rows("directions", checked.reshape(-1, 3))
-        scaled = self.coefficients * np.repeat(factors, 2 * np.arange(self.degree + 1) + 1)[:, None]
-        return (sh_basis(unit, self.degree) @ scaled).astype(np.float32).reshape(checked.shape)
+        scaled = sh_basis(unit, self.degree) @ (self.coefficients * factors[:, None])
+        return scaled.astype(np.float32).reshape(checked.shape)
 
 
 def _samples(scene: Scene, center: Doubles, renderer: Renderer, face_px: int, near: float) -> CubeSamples:
@@ -320,6 +320,12 @@ def _without_ringing(image: FloatArray) -> FloatArray:
 def _matrix(light: LightEnvironment) -> Doubles:
     """Returns the rotation from the axes of an environment's image to the world, shape (3, 3)."""
     return matrices_from_quaternions(np.array([light.rotation_wxyz]))[0]
+
+
+def cosine_factors(degree: int) -> Doubles:
+    """Returns the factors by which convolution with the clamped cosine multiplies SH coefficients, shape (K,)."""
+    levels = range(degree + 1)
+    return np.repeat([_cosine_factor(level) for level in levels], [2 * level + 1 for level in levels])
 
 
 def _cosine_factor(level: int) -> float:
@@ -363,6 +369,24 @@ def _fit(
             "or give a ridge"
         )
     return np.asarray(np.linalg.solve(gram, moments), np.float64)
+
+
+def fit_gradient(directions: Doubles, weights: Doubles, by_coefficients: Doubles, ridge: float) -> Doubles:
+    """Returns the gradient of a loss by the radiance that a probe is fitted to, from that by the coefficients.
+
+    Args:
+        directions: N unit directions of the samples, shape (N, 3).
+        weights: Weights of the samples, shape (N,).
+        by_coefficients: Gradient by the probe's K coefficients, shape (K, 3).
+        ridge: As for `EnvironmentProbe.fit`.
+
+    Returns:
+        Shape (N, 3).
+    """
+    basis = sh_basis(directions, math.isqrt(len(by_coefficients)) - 1)
+    weighted: Doubles = basis * (weights * (4.0 * np.pi / weights.sum()))[:, None]
+    gram = weighted.T @ basis + ridge * np.eye(len(by_coefficients))
+    return weighted @ np.linalg.solve(gram, by_coefficients)
 
 
 _DEGREE = 3

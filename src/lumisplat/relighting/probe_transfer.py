@@ -21,15 +21,15 @@ from lumisplat.scene.ops.colors import Subject, scale_light_of
 from lumisplat.scene.ops.normals import estimate_normals
 from lumisplat.scene.scene import SplatInstance
 
-_NORMALS_AT_ONCE = 1024
+NORMALS_AT_ONCE = 1024
 """Number of normals whose lobes are in memory at once: 2 MB with 16 grid rows, which fits the CPU cache."""
 
-_NO_LIGHT = 1e-12
+NO_LIGHT = 1e-12
 """Solid angle, sr, added to a lobe's integral so that the division by the sum is defined
 (docs/method/relighting.md#transfer-scale); the integral of a lobe that the grid resolves is far larger."""
 
 
-class _Grid(NamedTuple):
+class DirectionGrid(NamedTuple):
     """Latitude-longitude grid of M directions, with weights for integrals over the sphere."""
 
     directions: Doubles
@@ -112,30 +112,31 @@ def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: Religh
         varying = EnvironmentProbe(np.concatenate([np.zeros((1, 3)), probe.coefficients[1:]]))
         scales = (mean + varying.irradiance(unit) / np.pi).astype(np.float32)
         return np.clip(scales, np.float32(0.0), np.float32(config.scale_max))
-    grid = _grid(config.rows)
+    grid = direction_grid(config.rows)
     basis = sh_basis(grid.directions, probe.degree)
     varying = basis[:, 1:] @ probe.coefficients[1:]
     mean = basis[0, 0] * probe.coefficients[0]
     # One matrix product gives the lobe's r, g and b, and its normalisation.
     table = (grid.weights[:, None] * np.column_stack([varying, np.ones(len(varying))])).astype(np.float32)
     directions = np.ascontiguousarray(grid.directions.T, np.float32)
-    scales, space = np.empty_like(unit), np.empty((_NORMALS_AT_ONCE, len(varying)), np.float32)
-    for first in range(0, len(unit), _NORMALS_AT_ONCE):
-        rows = slice(first, first + _NORMALS_AT_ONCE)
+    scales, space = np.empty_like(unit), np.empty((NORMALS_AT_ONCE, len(varying)), np.float32)
+    for first in range(0, len(unit), NORMALS_AT_ONCE):
+        rows = slice(first, first + NORMALS_AT_ONCE)
         lobes = np.matmul(unit[rows], directions, out=space[: len(unit[rows])])
         np.maximum(lobes, np.float32(0.0), out=lobes)
         if config.exponent != 1.0:
             np.power(lobes, np.float32(config.exponent), out=lobes)
         gathered = (lobes @ table).astype(np.float64)
-        scales[rows] = mean + gathered[:, :3] / (gathered[:, 3:] + _NO_LIGHT)
+        scales[rows] = mean + gathered[:, :3] / (gathered[:, 3:] + NO_LIGHT)
     return np.clip(scales, np.float32(0.0), np.float32(config.scale_max))
 
 
 @lru_cache(maxsize=4)
-def _grid(rows: int) -> _Grid:
+def direction_grid(rows: int) -> DirectionGrid:
+    """Returns the grid over which a lobe is summed, ``rows`` high and twice as wide."""
     directions = panorama_directions(rows, 2 * rows).reshape(-1, 3)
     sines = np.repeat(np.sin((np.arange(rows) + 0.5) * (np.pi / rows)), 2 * rows)
     weights = sines * (4.0 * np.pi / sines.sum())
     for array in (directions, weights):
         array.flags.writeable = False
-    return _Grid(directions, weights)
+    return DirectionGrid(directions, weights)

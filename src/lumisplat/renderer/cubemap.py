@@ -55,8 +55,8 @@ class CubeFaces(NamedTuple):
     """Coverage by the scene of each pixel of six P x P faces, 0..1, shape (6 P P,)."""
 
 
-class _Cube(NamedTuple):
-    """The six cameras of a cube map around the origin, and the directions and solid angles of its pixels."""
+class CubeViews(NamedTuple):
+    """The six cameras of a cube map, and the directions and solid angles of its pixels."""
 
     cameras: tuple[Camera, ...]
     directions: Doubles
@@ -84,7 +84,7 @@ def render_faces(
     Raises:
         SceneError: ``render`` refuses the scene.
     """
-    frames = [render(scene, _moved(camera, position, near)) for camera in _cube(face_px).cameras]
+    frames = [render(scene, camera) for camera in cube_views(position, face_px, near).cameras]
     radiance = np.concatenate([_radiance(frame).reshape(-1, 3) for frame in frames])
     return CubeFaces(radiance, np.concatenate([frame.alpha.ravel() for frame in frames]))
 
@@ -144,8 +144,15 @@ def cube_solid_angles(face_px: int) -> Doubles:
     return corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
 
 
+def cube_views(position: Doubles, face_px: int, near: float) -> CubeViews:
+    """Returns the views of a cube map around a position; arguments as for `render_faces`."""
+    cube = _cube(face_px)
+    return cube._replace(cameras=tuple(_moved(camera, position, near) for camera in cube.cameras))
+
+
 @lru_cache(maxsize=4)
-def _cube(face_px: int) -> _Cube:
+def _cube(face_px: int) -> CubeViews:
+    """Returns the views of a cube map around the origin."""
     cameras = tuple(
         Camera.look_at((0.0, 0.0, 0.0), axis, up, width=face_px, height=face_px, fov_y=0.5 * np.pi)
         for axis, up in _FACES
@@ -154,7 +161,7 @@ def _cube(face_px: int) -> _Cube:
     weights = np.tile(cube_solid_angles(face_px).ravel(), len(_FACES))
     for array in (directions, weights):
         array.flags.writeable = False
-    return _Cube(cameras, directions, weights)
+    return CubeViews(cameras, directions, weights)
 
 
 def _moved(camera: Camera, position: Doubles, near: float) -> Camera:

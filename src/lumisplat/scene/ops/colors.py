@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from lumisplat.constants import SH_C0, SH_DEGREE_MAX
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, float_array, read_only_view, refuse_rows
-from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.math.arrays import Doubles, FloatArray, float_array, read_only_view, refuse_rows
+from lumisplat.math.color import decode_slope, decode_srgb, encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import SplatInstance
@@ -110,6 +110,33 @@ def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
     sh = gaussians.sh.copy()
     sh[rows] = _scale_sh(gaussians.sh[rows], per_channel[rows])
     return replace(gaussians, sh=read_only_view(sh))
+
+
+def scale_light_gradient(
+    gaussians: Gaussians, factors: npt.NDArray[np.floating], by_sh: Doubles
+) -> tuple[Doubles, Doubles]:
+    """Returns the gradients of a loss by the factors and by the captured SH of `scale_light`.
+
+    Mean colours below `RECOLOR_DARK` count as constant.
+
+    Args:
+        gaussians: N Gaussians.
+        factors: Linear-light factors of their channels, shape (N, 3).
+        by_sh: Gradient of the loss by the scaled SH, shape (N, K, 3).
+
+    Returns:
+        Gradients by the factors, shape (N, 3), and by the SH, shape (N, K, 3).
+    """
+    captured = gaussians.sh.astype(np.float64)
+    color = SH_C0 * captured[:, 0] + 0.5
+    mean = np.maximum(color, RECOLOR_DARK)
+    shown = encode_srgb(factors * decode_srgb(mean))
+    gains, encode_slope = shown / mean, 1.0 / decode_slope(shown)
+    by_gains = (by_sh * captured).sum(axis=1) + (0.5 / SH_C0) * by_sh[:, 0]
+    by_mean = by_gains * (encode_slope * factors * decode_slope(mean) - gains) / mean
+    by_captured = gains[:, None, :] * by_sh
+    by_captured[:, 0] += SH_C0 * np.where(color > RECOLOR_DARK, by_mean, 0.0)
+    return by_gains * encode_slope * decode_srgb(mean) / mean, by_captured
 
 
 def scale_light_of(subject: Subject, factors: npt.NDArray[np.floating]) -> Subject:
