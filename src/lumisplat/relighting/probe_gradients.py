@@ -190,6 +190,8 @@ def captured_probe(
 ) -> CapturedProbe:
     """Captures a probe of an unlit scene, with gradients by the scene's Gaussians and by the probe's position.
 
+    Lights and materials of the scene are ignored, as by `lumisplat.DifferentiableRenderer`.
+
     Args:
         scene: The scene that gives the light.
         position: As for `EnvironmentProbe.capture`.
