@@ -101,6 +101,17 @@ def blend(pixel: BlendState, splat: Any, alpha: float, transmittance_min: float,
 
 
 @wp.func
+def blend_own(
+    pixel: BlendState, splat: Splat, alpha: float, raster: RasterData, instances: wp.array[SplatInstanceData]
+) -> BlendState:
+    """Blends a splat like `blend`; the depth surface lies at the transmittance of the splat's own instance."""
+    iso = raster.depth_iso_transmittance
+    if pixel.surface < 0:  # behind its surface, a pixel needs no instance, which takes a search
+        iso = iso_of(instances, splat.index, iso)
+    return blend(pixel, splat, alpha, raster.transmittance_min, iso)
+
+
+@wp.func
 def left_behind(before: float, after: float, transmittance_min: float) -> float:
     """Returns ``after``, or ``-before`` to finish the pixel if ``after`` is at most ``transmittance_min``.
 

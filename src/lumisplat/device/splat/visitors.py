@@ -31,6 +31,7 @@ from lumisplat.device.splat.blending import (
     add_relit,
     behind_pixel,
     blend,
+    blend_own,
     iso_of,
     left_behind,
     opaque_pixel,
@@ -605,11 +606,7 @@ def blend_ellipse_at_pixel(
     pixel: wp.ref[BlendState], splat: Splat, log_alpha: float, settings: RasterData, arrays: SplatInstances
 ):
     """Blends a splat, evaluated as an ellipse, behind those that the pixel has already blended."""
-    alpha = alpha_from_log(log_alpha)
-    iso = settings.depth_iso_transmittance
-    if pixel.surface < 0:
-        iso = iso_of(arrays.instances, splat.index, iso)
-    pixel = blend(pixel, splat, alpha, settings.transmittance_min, iso)
+    pixel = blend_own(pixel, splat, alpha_from_log(log_alpha), settings, arrays.instances)
 
 
 @struct

@@ -14,7 +14,7 @@ from lumisplat.device.camera.pixels import (
     tile_corner,
     tile_pixel,
 )
-from lumisplat.device.splat.blending import blend, empty_pixel, instance_of, iso_of, pixel_ray, store_result
+from lumisplat.device.splat.blending import blend_own, empty_pixel, instance_of, pixel_ray, store_result
 from lumisplat.device.splat.ellipse import EllipsePixel, evaluate, pixel_at
 from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log, depth_plane
 from lumisplat.device.structs import struct
@@ -291,11 +291,7 @@ def blend_listed(
             break
         log_alpha = evaluate(splat, seen).log_alpha
         if log_alpha >= LOG_ALPHA_MIN:
-            alpha = alpha_from_log(log_alpha)
-            iso = raster.depth_iso_transmittance
-            if pixel.surface < 0:
-                iso = iso_of(instances, splat.index, iso)
-            pixel = blend(pixel, splat, alpha, raster.transmittance_min, iso)
+            pixel = blend_own(pixel, splat, alpha_from_log(log_alpha), raster, instances)
     return pixel
 
 
@@ -364,10 +360,7 @@ def merge_sets(
                 s = other
         splat = splats[streams[cursors[s]].index]
         alpha = alpha_from_log(evaluate(splat, seen).log_alpha)
-        iso = raster.depth_iso_transmittance
-        if pixel.surface < 0:
-            iso = iso_of(instances, splat.index, iso)
-        pixel = blend(pixel, splat, alpha, raster.transmittance_min, iso)
+        pixel = blend_own(pixel, splat, alpha, raster, instances)
         cursors[s] = next_touching(splats, streams, cursors[s] + 1, ends[s], seen)
         nearness[s] = -wp.inf
         if cursors[s] < ends[s]:

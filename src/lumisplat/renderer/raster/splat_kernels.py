@@ -19,10 +19,9 @@ from lumisplat.device.camera.pixels import (
 from lumisplat.device.gaussian.particle import surface_distance
 from lumisplat.device.math.random import sample_key_of
 from lumisplat.device.splat.blending import (
-    blend,
+    blend_own,
     empty_pixel,
     instance_of,
-    iso_of,
     opaque_pixel,
     pixel_ray,
     store_gaussian_hits,
@@ -257,11 +256,7 @@ def composite_blocks(
             j += 1
             if log_alpha >= LOG_ALPHA_MIN:
                 if near.depth < seen.limit_z:
-                    alpha = alpha_from_log(log_alpha)
-                    iso = raster.depth_iso_transmittance
-                    if pixel.surface < 0:
-                        iso = iso_of(instances, near.index, iso)
-                    pixel = blend(pixel, near, alpha, raster.transmittance_min, iso)
+                    pixel = blend_own(pixel, near, alpha_from_log(log_alpha), raster, instances)
                 if pixel.transmittance <= 0.0 or near.depth >= seen.limit_z:
                     pixel.transmittance = -wp.abs(pixel.transmittance)
                     j = count
