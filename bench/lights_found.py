@@ -3,6 +3,9 @@
 ``python -m bench.lights_found`` generates rooms, nights and grounds of known light (`support.scenes.lit_captures`),
 estimates their lights, and prints a line of JSON per capture and a table. The demo room and the captures of the data
 come last. ``--first 0`` uses the development seeds; seeds from 100 on are for evaluation only.
+
+``--trained FOLDER ...`` measures trained captures instead: folders of tools/make_relightable_room.py, whose lights are
+in lamps.toml, each with a capture.ply that was trained from its images.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
@@ -47,6 +51,18 @@ def middle(gaussians: ls.Gaussians) -> np.ndarray:
     """Returns a point beside the captured object, halfway out and halfway up."""
     low, high = np.quantile(gaussians.means.astype(np.float64), (0.02, 0.98), axis=0)
     return 0.5 * (low + high) + (0.35 * (high - low)[0], 0.0, 0.0)
+
+
+def trained(folder: Path) -> LitCapture:
+    """Returns the capture trained from photographs of a place with known lights, seen from the middle."""
+    known = ls.load(folder / "lamps.toml")
+    assert isinstance(known, ls.Scene)
+    lights = known.lights
+    suns = [np.array(light.direction) for light in lights if isinstance(light, ls.LightDirectional)]
+    lamps = [light.position for light in lights if isinstance(light, ls.LightRect | ls.LightSphere)]
+    scene = ls.Scene(splats=(ls.SplatInstance(load_capture(folder / "capture.ply")),))
+    sun = -suns[0] / np.linalg.norm(suns[0]) if suns else None
+    return LitCapture(folder.name, scene, np.array([0.0, 0.9, 0.0]), np.reshape(lamps, (-1, 3)), sun, 1.0)
 
 
 def found_lights(capture: LitCapture) -> dict:
@@ -101,11 +117,13 @@ def main() -> None:
     given = parser("lights_found", __doc__)
     given.add_argument("--first", type=int, default=100, help="the first seed (default: 100)")
     given.add_argument("--count", type=int, default=10, help="captures of each kind (default: 10)")
+    given.add_argument("--trained", type=Path, nargs="+", default=[], metavar="FOLDER", help="trained captures instead")
     chosen = given.parse_args()
     seeds = range(chosen.first, chosen.first + chosen.count)
     drawn = (lit_capture(kind, seed, chosen.device) for kind in KINDS for seed in seeds)
     rows: list[dict] = []
-    for capture in chain(drawn, [demo_capture()], captures_of_objects()):
+    generated = chain(drawn, [demo_capture()], captures_of_objects())
+    for capture in map(trained, chosen.trained) if chosen.trained else generated:
         rows.append(found_lights(capture))
         print(json.dumps(rows[-1]), flush=True)
     print("\n".join(table(rows)))

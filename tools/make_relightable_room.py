@@ -14,6 +14,9 @@ high. Two lights light the training images, in which they are brighter than whit
 ceiling and on a wall. Under other lights the plates remain without emission. These are a wide cool light on another
 wall (``window``) and a small warm sphere (``evening``). Light bounces up to 15 times. ``--views 20 --held-out 4`` takes
 some minutes on two cores, most of it for the training images.
+
+With ``--yard`` there is no ceiling, and a sun and an even sky light the training images in place of the lamps: only
+images, cameras and ``lamps.toml`` are written, for ``python -m bench.lights_found --trained``.
 """
 
 from __future__ import annotations
@@ -53,7 +56,12 @@ MAX_DEPTH = 16
 PILOTS, PILOT_SAMPLES = 6, 64
 """Views from which the exposure is chosen, and samples per pixel."""
 
-Lights = tuple[ls.LightRect | ls.LightSphere, ...]
+CEILING = 1
+"""Position of the ceiling in `walls`."""
+SUN = (0.48, -0.72, 0.5)
+"""Direction in which the sun of a yard shines, of any length."""
+
+Lights = tuple[ls.LightRect | ls.LightSphere | ls.LightDirectional | ls.LightEnvironment, ...]
 
 
 def main() -> None:
@@ -62,6 +70,7 @@ def main() -> None:
     parser.add_argument("meshes", type=Path, nargs="+", help="one or two meshes, GLB or OBJ")
     parser.add_argument("out", type=Path, help="output folder")
     parser.add_argument("--material", choices=("lambertian", "varied"), default="lambertian")
+    parser.add_argument("--yard", action="store_true", help="a sun and a sky above four walls, without truth")
     parser.add_argument("--views", type=int, default=72, help="number of training views")
     parser.add_argument("--held-out", type=int, default=16, help="number of held-out views between them")
     parser.add_argument("--width", type=int, default=256, help="size of images, pixels")
@@ -80,6 +89,11 @@ def make(given: argparse.Namespace) -> None:
     mi, begun = load_mitsuba(), time.perf_counter()
     scene = room_of(given.meshes)
     views = split(inside(given.views + given.held_out, given.width, given.height), given.held_out)
+    fov_x = 2.0 * np.arctan(np.tan(0.5 * FOV_Y) * given.width / given.height)
+    if given.yard:
+        make_yard(mi, scene, views, given)
+        write_transforms(given.out, views, float(fov_x))
+        return
     held_out = {name: camera for name, camera in views.items() if name.startswith("test")}
     shapes = shapes_of(mi, scene, given.material)
     settings = {"lamps": capture_lights(), "relit/window": (window(),), "relit/evening": (ball(),)}
@@ -94,7 +108,6 @@ def make(given: argparse.Namespace) -> None:
         save_lights(given.out / f"{name}.toml", bright)
         pictures = {f"{name}/{view.removeprefix('test/')}": camera for view, camera in held_out.items()}
         render_images(mi, lit(mi, shapes, bright), views if name == "lamps" else pictures, given)
-    fov_x = 2.0 * np.arctan(np.tan(0.5 * FOV_Y) * given.width / given.height)
     write_transforms(given.out, views, float(fov_x), masks="truth/mask")
     write_truth(mi, scene, views, given)
     for name, camera in held_out.items():
@@ -102,6 +115,23 @@ def make(given: argparse.Namespace) -> None:
     record |= {"made_with": f"mitsuba {mi.__version__}"}
     (given.out / "set.json").write_text(json.dumps(record, indent=1) + "\n")
     print(f"{given.out}: {given.views} views, {given.held_out} held out, {time.perf_counter() - begun:.0f} s")
+
+
+def make_yard(mi: Any, room: ls.Scene, views: dict[str, ls.Camera], given: argparse.Namespace) -> None:
+    """Renders the training and held-out images of the room without ceiling and plates, under a sun and a sky."""
+    count = len(walls())
+    plates = range(count, count + len(capture_lights()))
+    scene = replace(room, meshes=[one for i, one in enumerate(room.meshes) if i != CEILING and i not in plates])
+    shapes = shapes_of(mi, scene, given.material)
+    lights = (ls.LightDirectional(SUN, (1.0, 0.94, 0.85), 4.0), ls.LightEnvironment(color=(0.5, 0.65, 1.0)))
+    factor = exposure(mi, shapes, lights, lights[1:])
+    sun, sky = (replace(light, intensity=factor * light.intensity) for light in lights)
+    given.out.mkdir(parents=True, exist_ok=True)
+    (given.out / "lamps.toml").write_text(
+        f'[[lights]]\ntype = "directional"\ndirection = {list(SUN)}\ncolor = {list(sun.color)}\n'
+        f"intensity = {sun.intensity}\n\n[environment]\ncolor = {list(sky.color)}\nintensity = {sky.intensity}\n"
+    )
+    render_images(mi, lit(mi, shapes, (sun, sky)), views, given)
 
 
 def room_of(paths: list[Path]) -> ls.Scene:
