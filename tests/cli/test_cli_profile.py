@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +30,8 @@ def test_profile_writes_the_gaussians_on_the_ray_of_a_pixel(work):
     scene = ls.Scene([capture])
     camera = ls.load_cameras(work.path("cameras.json"))[0]
     along = camera.ray_directions()[20, 30] @ camera.camera_from_world[:3, :3]
-    profile = ls.trace_rays(scene, camera.eye, [along], profile=True, device="cpu").profile
+    hits = ls.trace_rays(scene, camera.eye, [along], profile=True, device="cpu")
+    profile = hits.profile
     assert profile is not None and len(profile.t) > 1
     assert work.run(*ARGS, "--pixel", "30,20", "-o", "@ray.csv").status == 0
     header, *rows = csv.reader(work.path("ray.csv").read_text().splitlines())
@@ -41,14 +43,17 @@ def test_profile_writes_the_gaussians_on_the_ray_of_a_pixel(work):
     printed = work.run(*ARGS, "--pixel", "30,20").out
     assert [line.split() for line in printed.splitlines()] == [header, *rows]
     assert work.run(*ARGS, "--pixel", "30,20", "-o", "@ray.png").status == 0
-    np.testing.assert_array_equal(read_image(work.path("ray.png"))["srgb"], profile.plot())
+    np.testing.assert_array_equal(read_image(work.path("ray.png"))["srgb"], hits.plot())
 
 
 def test_plot_of_a_ray_shows_its_transmittance_and_its_surface() -> None:
-    """The blue line is at the height of the transmittance; a ray without Gaussians has a plot without a surface."""
+    """The blue line is at the height of the transmittance, and the green one at the depth, if there is one."""
     t, behind = np.array([1.0, 2.0, 4.0]), np.array([0.8, 0.4, 0.04])
     alpha = np.array([0.2, 0.5, 0.9])
-    two = ls.rays.RayProfile(np.array([0, 3, 3]), t, alpha, behind, np.zeros(3, int), np.zeros(3, int))
+    profile = ls.rays.RayProfile(np.array([0, 3, 3]), t, alpha, behind, np.zeros(3, int), np.zeros(3, int))
+    depths, zeros, ones = np.array([2.0, np.inf], np.float32), np.zeros((2, 3), np.float32), np.ones(2, np.float32)
+    none = np.full(2, -1, np.int32)
+    two = ls.rays.RayHits(zeros, ones, depths, zeros, none, none, profile=profile)
     shown = two.plot(0, size=(400, 200)).astype(int)
     is_blue = (shown[..., 2] - shown[..., 0] > 120) & (shown[..., 2] > 200)
     is_green = (shown[..., 1] - shown[..., 2] > 60) & (shown[..., 1] - shown[..., 0] > 60)
@@ -59,6 +64,8 @@ def test_plot_of_a_ray_shows_its_transmittance_and_its_surface() -> None:
     x = np.flatnonzero(is_green[bottom - 20 : bottom - 5].all(axis=0))
     assert x.mean() == pytest.approx(left + (2.0 - 0.85) / 3.3 * (right - left), abs=1.5)
     assert two.plot(1, size=(400, 200)).shape == (200, 400, 3)
+    with pytest.raises(ls.SceneError, match=r"no profile to plot: trace_rays\(\.\.\., profile=True\) makes one"):
+        replace(two, profile=None).plot()
     with pytest.raises(ls.ConfigError, match="the plot has size 100 x 200, expected 160 to 8192"):
         two.plot(0, size=(100, 200))
 

@@ -22,19 +22,18 @@ def profile_plot(
     t: npt.NDArray[np.floating],
     alpha: npt.NDArray[np.floating],
     transmittance: npt.NDArray[np.floating],
-    iso: float,
+    surface: float,
     size: tuple[int, int],
 ) -> npt.NDArray[np.uint8]:
     """Returns a plot of the Gaussians on one ray, sRGB, shape (height, width, 3).
 
-    The blue line is the transmittance, orange stems are the alpha of each Gaussian, the grey line is the threshold
-    ``iso``, and the green one the surface: the first Gaussian behind which the transmittance is lower.
+    The blue line is the transmittance, orange stems are the alpha of each Gaussian, the green line is the surface.
 
     Args:
         t: Distance of each of N Gaussians, ascending, shape (N,).
         alpha: Alpha of each, 0..1, shape (N,).
         transmittance: Transmittance behind each, 0..1, shape (N,).
-        iso: Transmittance at the surface, 0..1.
+        surface: Distance of the surface; inf: none.
         size: Width and height in pixels.
 
     Raises:
@@ -63,7 +62,6 @@ def profile_plot(
         distance = low + share * (high - low)
         x, y = at(distance, 0.0)
         draw.text((x, y + 6 * _SCALE), f"{distance:.4g}", _TEXT, font, anchor=("la", "ma", "ra")[round(2 * share)])
-    draw.line([at(low, iso), at(high, iso)], fill=_AXES, width=_SCALE)
     for distance, value in zip(t.tolist(), alpha.tolist(), strict=True):
         draw.line([at(distance, 0.0), at(distance, value)], fill=_ALPHA, width=_SCALE)
     steps, before = [at(low, 1.0)], 1.0
@@ -72,8 +70,7 @@ def profile_plot(
         before = value
     draw.line([*steps, at(high, before)], fill=_TRANSMITTANCE, width=2 * _SCALE)
     texts = [("transmittance", _TRANSMITTANCE), ("alpha", _ALPHA)]
-    if (behind := np.flatnonzero(transmittance < iso)).size:
-        surface = float(t[behind[0]])
+    if low <= surface <= high:
         draw.line([at(surface, 0.0), at(surface, 1.0)], fill=_SURFACE, width=_SCALE)
         texts.append((f"surface at {surface:.4g}", _SURFACE))
     x = width - right - 4 * _SCALE

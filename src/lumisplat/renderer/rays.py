@@ -13,7 +13,6 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import Pipeline, RenderConfig, ShadowConfig, TraceStrategy
-from lumisplat.config.gaussians import DEPTH_ISO_TRANSMITTANCE
 from lumisplat.constants import PACKET_RAYS
 from lumisplat.device.structs.camera import FilmData, ListedRays
 from lumisplat.device.structs.rays import HitProfiles, RayData
@@ -79,24 +78,6 @@ class RayProfile:
         """Returns the rows of one ray, rays counted from 0: ``profile.alpha[profile.rows(3)]``."""
         return slice(int(self.first[ray]), int(self.first[ray + 1]))
 
-    def plot(
-        self, ray: int = 0, *, iso: float = DEPTH_ISO_TRANSMITTANCE, size: tuple[int, int] = (640, 360)
-    ) -> npt.NDArray[np.uint8]:
-        """Returns a plot of one ray's Gaussians over distance, sRGB, shape (height, width, 3).
-
-        The blue line is the transmittance, orange stems are alphas, the green line is the surface.
-
-        Args:
-            ray: The ray, counted from 0.
-            iso: Transmittance at the surface, 0..1.
-            size: Width and height in pixels, 160 to 8192.
-
-        Raises:
-            ConfigError: The size is out of range.
-        """
-        rows = self.rows(ray)
-        return profile_plot(self.t[rows], self.alpha[rows], self.transmittance[rows], iso, size)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelProfile:
@@ -144,6 +125,24 @@ class RayHits:
 
     def __len__(self) -> int:
         return len(self.depth)
+
+    def plot(self, ray: int = 0, *, size: tuple[int, int] = (640, 360)) -> npt.NDArray[np.uint8]:
+        """Returns a plot of one ray's Gaussians over distance, sRGB, shape (height, width, 3); needs a ``profile``.
+
+        The blue line is the transmittance, orange stems are alphas, the green line is the surface, at ``depth``.
+
+        Args:
+            ray: The ray, counted from 0.
+            size: Width and height in pixels, 160 to 8192.
+
+        Raises:
+            ConfigError: The size is out of range.
+            SceneError: The rays were traced without ``profile=True``.
+        """
+        if self.profile is None:
+            raise SceneError("the hits have no profile to plot: trace_rays(..., profile=True) makes one")
+        rows, found = self.profile.rows(ray), self.profile
+        return profile_plot(found.t[rows], found.alpha[rows], found.transmittance[rows], float(self.depth[ray]), size)
 
 
 class RayLoader:

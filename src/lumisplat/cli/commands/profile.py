@@ -70,7 +70,7 @@ class Profile(LoadingCommand, DeviceCommand):
             from lumisplat.io.images.texture import write_png
 
             assert self.output is not None
-            write_png(self.output, hits.profile.plot(iso=config.trace.depth_iso_transmittance))
+            write_png(self.output, hits.plot())
             print(f"{self.output}: {counted(len(hits.profile.t), 'Gaussian')}")
             return
         rows = _rows(hits.profile)

@@ -129,8 +129,7 @@ class RayPanel:
         except ls.LumisplatError as error:
             self._session.report(str(error))
             return
-        assert hits.profile is not None
-        self._plot.image = hits.profile.plot(iso=config.trace.depth_iso_transmittance, size=_PLOT)
+        self._plot.image = hits.plot(size=_PLOT)
         self._plot.visible = True
 
 
