@@ -51,6 +51,19 @@ def test_light_with_targets_aims_at_the_target_between_keys_too() -> None:
             assert (error < 1e-12) == is_exact, light.kind
 
 
+def test_light_with_targets_aims_at_them_at_its_keys_and_if_nothing_else_changes() -> None:
+    """One spot at both keys follows its target, and one turned away at a key faces the key's target."""
+    spot = ls.LightSpot((0.0, 5.0, 0.0), direction=(0.0, -1.0, 0.0))
+    path = LightPath([spot, spot], [0.0, 1.0], targets=[(5.0, 0.0, 0.0), (0.0, 0.0, 5.0)])
+    for time, target in ((-1.0, (5, 0, 0)), (0.0, (5, 0, 0)), (0.5, (2.5, 0, 2.5)), (1.0, (0, 0, 5)), (9.0, (0, 0, 5))):
+        light: Any = path.at(time)
+        towards = np.subtract(target, spot.position)
+        np.testing.assert_allclose(light.direction, towards / np.linalg.norm(towards), atol=1e-12)
+    panel = ls.LightRect((0.0, 5.0, 0.0), (0.4, 0.0, 0.0), (0.0, 0.0, 0.2))
+    turned: Any = LightPath([panel], targets=[(5.0, 0.0, 0.0)]).at(0.0)
+    np.testing.assert_allclose(turned.area_vector / 0.08, np.array([1.0, -1.0, 0.0]) / math.sqrt(2.0), atol=1e-12)
+
+
 def test_rectangle_between_two_keys_turns_without_shrinking_or_shearing() -> None:
     """Halfway of a quarter turn about its edge, the edges are as long and as square as at the keys."""
     first = ls.LightRect((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 1.0, 0.0))

@@ -83,14 +83,19 @@ class LightPath:
         """
         before, after, share = bracket(np.asarray(self.times), time)
         first, second = self.lights[before], self.lights[after]
-        if share == 0.0 or first is second:
+        is_still = share == 0.0 or first is second
+        if is_still and self.targets is None:
             return first
-        changes = {
-            one.name: _blended(one.name, getattr(first, one.name), getattr(second, one.name), share)
-            for one in fields(first)
-            if one.name not in _EDGES and not _is_same(getattr(first, one.name), getattr(second, one.name))
-        }
-        if isinstance(first, LightRect) and isinstance(second, LightRect):
+        changes: dict[str, Any] = (
+            {}
+            if is_still
+            else {
+                one.name: _blended(one.name, getattr(first, one.name), getattr(second, one.name), share)
+                for one in fields(first)
+                if one.name not in _EDGES and not _is_same(getattr(first, one.name), getattr(second, one.name))
+            }
+        )
+        if isinstance(first, LightRect) and isinstance(second, LightRect) and not is_still:
             changes |= zip(_EDGES, _blended_edges(first, second, share), strict=True)
         if self.targets is not None:
             changes |= self._aimed(first, changes, before, after, share)
@@ -102,7 +107,7 @@ class LightPath:
         aim: dict[str, Any] = dict.fromkeys(first.aim_fields, (0.0, 0.0, 0.0))
         aim["target"] = (1.0 - share) * targets[before] + share * targets[after]
         if isinstance(first, LightRect):
-            aim["size"] = [float(np.linalg.norm(changes[edge])) for edge in _EDGES]
+            aim["size"] = [float(np.linalg.norm(changes.get(edge, getattr(first, edge)))) for edge in _EDGES]
         return aim
 
 
