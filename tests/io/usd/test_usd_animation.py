@@ -162,6 +162,23 @@ def test_usd_meshes_deform_between_time_samples_and_particle_fields_hold_them(
     assert field.at(1.0) == () and len(loaded.actors_at(1.0)) == 1
 
 
+def test_usd_light_is_switched_by_its_visibility_and_that_of_a_parent(tmp_path: Path) -> None:
+    """Visibility is held until its next sample: a lamp, out at first, goes on at code 24, and out with its parent."""
+    body = """def Xform "p" {
+        token visibility.timeSamples = { 0: "inherited", 48: "invisible" }
+        def SphereLight "l" {
+            float inputs:intensity = 7
+            token visibility.timeSamples = { 0: "invisible", 24: "inherited" }
+        }
+    }"""
+    loaded = ls.load_animation(write_usda(tmp_path / "a.usda", body, 'upAxis = "Y"\ntimeCodesPerSecond = 24'))
+    seen = [next(iter(loaded.scene_at(time).lights)) for time in (0.0, 0.98, 1.0, 1.98, 2.0)]
+    assert all(light.enabled for light in seen)
+    bright = seen[2].intensity
+    assert bright > 0.0
+    np.testing.assert_allclose([light.intensity / bright for light in seen], [0, 0, 1, 1, 0], atol=1e-6)
+
+
 def test_point_instances_of_a_deforming_usd_prim_keep_its_first_shape(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -20,7 +20,7 @@ from lumisplat.io.usd.materials import UsdMaterials
 from lumisplat.io.usd.meshes import UsdMeshes
 from lumisplat.io.usd.particles import is_field, read_particles
 from lumisplat.io.usd.process import read_in_child
-from lumisplat.io.usd.stage import PlacedPrim, UsdFile, custom_data_of, open_usd, placed_prims
+from lumisplat.io.usd.stage import RENDERED_PURPOSES, PlacedPrim, UsdFile, custom_data_of, open_usd, placed_prims
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.checks import with_checked
 from lumisplat.scene.editing.transform import under_affine
@@ -30,6 +30,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_simi
 
 _NON_SHAPE_ATTRIBUTES = ("xformOp:", "visibility", "extent", "velocities", "accelerations", "angularVelocities")
 """Beginnings of attribute names whose time samples leave a prim's shape as it is, such as transforms and visibility."""
+_HELD = 1e-3
+"""Time codes before a sample of visibility at which a light still is as before."""
 
 
 def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
@@ -105,7 +107,21 @@ def transform_time_codes(prim: Any) -> Doubles:
 def light_time_codes(prim: Any) -> Doubles:
     """Returns the sorted time codes at which an attribute, the visibility or the transform of a light has samples."""
     own = {code for attribute in prim.GetAttributes() for code in attribute.GetTimeSamples()}
-    return np.array(sorted(own | set(transform_time_codes(prim).tolist())))
+    own |= set(transform_time_codes(prim).tolist())
+    # Visibility is held up to its next sample: a code just before keeps the light from fading.
+    switched = _visibility_time_codes(prim)
+    start = min((*own, *switched), default=0.0)
+    return np.array(sorted(own | switched | {code - _HELD for code in switched if code - _HELD > start}))
+
+
+def _visibility_time_codes(prim: Any) -> set[float]:
+    """Returns the time codes at which the visibility of a prim or of an ancestor has samples."""
+    imageable, found = pxr().UsdGeom.Imageable, set[float]()
+    while prim and not prim.IsPseudoRoot():
+        if imageable(prim):
+            found.update(imageable(prim).GetVisibilityAttr().GetTimeSamples())
+        prim = prim.GetParent()
+    return found
 
 
 def shape_time_codes(prim: Any) -> Doubles:
@@ -217,16 +233,18 @@ class StageReader:
         file, px = self.file, pxr()
         before, file.time = file.time, px.Usd.TimeCode(code)
         try:
-            visible = px.UsdGeom.Imageable(placed.prim).ComputeVisibility(file.time) != px.UsdGeom.Tokens.invisible
-            now = placed._replace(world_from_prim=_world_transform(file, placed.prim))
+            imageable = px.UsdGeom.Imageable(placed.prim)
+            visible = imageable.ComputeVisibility(file.time) != px.UsdGeom.Tokens.invisible
+            rendered = imageable.ComputePurpose() in RENDERED_PURPOSES
+            now = placed._replace(world_from_prim=_world_transform(file, placed.prim), visible=rendered)
             light = None if now.is_degenerate else read_light(file, now)
         finally:
             file.time = before
         if light is None or type(light) is not type(first):
-            return replace(first, intensity=0.0)
+            return replace(first, enabled=rendered, intensity=0.0)
         if isinstance(light, LightEnvironment) and isinstance(first, LightEnvironment):
             light = with_checked(light, image=first.image)  # one object at all times
-        return replace(light, enabled=first.enabled, intensity=light.intensity if visible else 0.0)
+        return light if visible else replace(light, intensity=0.0)
 
     def _collect(self, placed: PlacedPrim, collection: list[Any], instances: list[Any]) -> None:
         """Adds instances of a prim to ``collection``, and to `moving` or `deforming` if the prim has time samples.

@@ -393,6 +393,10 @@ def _png_bytes(texels: Texture) -> bytes:
     return buffer.getvalue()
 
 
+RENDERED_PURPOSES = ("default", "render")
+"""Purposes of prims that are rendered; those of proxies and guides are not."""
+
+
 class PlacedPrim(NamedTuple):
     """A prim with its transform to the world. A prim with several instances has one `PlacedPrim` for each instance."""
 
@@ -476,7 +480,7 @@ class _Walk:
             world_from_prim = world_from_base @ local
             visible = not imageable or (
                 imageable.ComputeVisibility(file.time) != "invisible"
-                and imageable.ComputePurpose() in ("default", "render")
+                and imageable.ComputePurpose() in RENDERED_PURPOSES
             )
             if not prim.IsA(px.UsdGeom.PointInstancer):
                 animated = not instancers and _is_animated(prim)
