@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from datetime import datetime
+from datetime import datetime, timedelta
 
+import numpy as np
 import pytest
 
 from lumisplat.math.sun_position import equatorial, sun_position
@@ -47,3 +48,12 @@ def test_sun_at_noon_is_in_the_south_or_north_at_its_declination(
     found = sun_position(latitude, 0.0, datetime.fromisoformat(time))
     assert found[0] == pytest.approx(elevation, abs=0.03)
     assert azimuth is None or abs((found[1] - azimuth + 180.0) % 360.0 - 180.0) < 1.0
+
+
+def test_elevation_of_the_setting_sun_has_no_jump() -> None:
+    """Refraction fades below the horizon: the sun sinks by less than 0.005 degrees a second until it is at -4."""
+    start = datetime.fromisoformat("2026-06-21T19:00+00:00")
+    found = np.array([sun_position(48.1, 11.6, start + timedelta(seconds=one))[0] for one in range(3600)])
+    assert found[0] > 1.0 and found[-1] < -3.0
+    steps = -np.diff(found)
+    assert 0.0 < steps.min() and steps.max() < 0.005

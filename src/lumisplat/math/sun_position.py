@@ -50,7 +50,10 @@ def equatorial(time: datetime) -> tuple[float, float]:
 
 
 def _refraction(elevation: float) -> float:
-    """Returns how far the air lifts the sun, degrees (Saemundsson 1986); 0 where it has set."""
-    if elevation < -1.0:
-        return 0.0
+    """Returns how far the air lifts the sun, degrees (Saemundsson 1986; below -0.575 degrees NOAA's solar calculator).
+
+    It fades out below the horizon, so that the sky does not jump when the sun sets.
+    """
+    if elevation < -0.575:
+        return -0.005771 / math.tan(math.radians(elevation))
     return 0.0170 / math.tan(math.radians(elevation + 10.3 / (elevation + 5.11)))
