@@ -57,6 +57,14 @@ def test_shadow_transmittance_equals_the_integral_of_the_absorption(absorption: 
         assert value == pytest.approx(np.exp(-depth), rel=1e-4)
 
 
+def test_casters_with_an_origin_stand_there() -> None:
+    """Means are relative to the origin of a capture."""
+    moved = replace(casters(), means=casters().means - np.array([5.0, 0.0, 0.0], np.float32), origin=(5.0, 0.0, 0.0))
+    found = [ls.gradients.shadow_transmittance(one, LIGHT, POINTS).transmittance for one in (casters(), moved)]
+    np.testing.assert_allclose(*found, rtol=1e-5)
+    assert found[0].min() < 0.9
+
+
 @pytest.mark.parametrize("light", [LIGHT, ls.LightSphere(LIGHT, 0.5), SUN], ids=["point", "sphere", "parallel"])
 def test_shadow_transmittance_equals_a_fine_deep_shadow_map(light: object) -> None:
     """A map of many texels and bins has the same values up to its interpolation."""

@@ -140,7 +140,8 @@ class _Model:
     """Gaussians in float64, and their absorption beta, as `device/shadow_map/optical_depth.py` has it."""
 
     def __init__(self, casters: Gaussians, config: DeepShadowConfig) -> None:
-        self.means, self.scales = casters.means.astype(np.float64), casters.scales.astype(np.float64)
+        self.means = casters.means.astype(np.float64) + casters.origin
+        self.scales = casters.scales.astype(np.float64)
         self.quaternions = casters.rotations_wxyz.astype(np.float64)
         rotations = matrices_from_quaternions(self.quaternions)
         self.world_from_canonical_gradient = rotations / self.scales[:, None, :]
