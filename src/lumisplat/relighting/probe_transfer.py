@@ -124,8 +124,7 @@ def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: Religh
         rows = slice(first, first + NORMALS_AT_ONCE)
         lobes = np.matmul(unit[rows], directions, out=space[: len(unit[rows])])
         np.maximum(lobes, np.float32(0.0), out=lobes)
-        if config.exponent != 1.0:
-            np.power(lobes, np.float32(config.exponent), out=lobes)
+        np.power(lobes, np.float32(config.exponent), out=lobes)
         gathered = (lobes @ table).astype(np.float64)
         scales[rows] = mean + gathered[:, :3] / (gathered[:, 3:] + NO_LIGHT)
     return np.clip(scales, np.float32(0.0), np.float32(config.scale_max))

@@ -115,6 +115,21 @@ def _source(path: Path, folder: Path | None, name: str) -> str:
     return f"{folder.name}/{name}{path.suffix.lower()}"
 
 
+def _by_name(folder: Path) -> dict[str, Path]:
+    """Returns the pictures and videos of a folder by their names without extension.
+
+    Raises:
+        FormatError: Two files have the same name.
+    """
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in _SUFFIXES:
+            if path.stem in found:
+                raise ls.FormatError(folder, f"has {found[path.stem].name} and {path.name}: give each its own name")
+            found[path.stem] = path
+    return found
+
+
 def _pairs(first: Path, second: Path) -> list[tuple[str, tuple[Path, Path]]]:
     """Returns (name, files) of each pair: two files, or files of two folders that have the same name.
 
@@ -132,10 +147,7 @@ def _pairs(first: Path, second: Path) -> list[tuple[str, tuple[Path, Path]]]:
             if path.suffix.lower() not in _SUFFIXES:
                 raise ls.FormatError(path, f"browsers do not show it, expected one of {', '.join(_SUFFIXES)}")
         return [(first.stem, (first, second))]
-    ours, theirs = (
-        {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES}
-        for folder in (first, second)
-    )
+    ours, theirs = (_by_name(folder) for folder in (first, second))
     if {*ours} != {*theirs} or not ours:
         alone = sorted({*ours} ^ {*theirs})
         problem = f"only one of the folders has '{alone[0]}'" if alone else f"no files ({', '.join(_SUFFIXES)})"

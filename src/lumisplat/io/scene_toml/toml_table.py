@@ -173,10 +173,6 @@ class Kind(NamedTuple):
         return self._replace(help=text)
 
 
-def _is_number_or_false(value: object) -> bool:
-    return value is False or is_number(value)
-
-
 def _is_number_or_flag(value: object) -> bool:
     return isinstance(value, bool) or is_number(value)
 
@@ -211,8 +207,6 @@ TEXT = Kind("a string", _is_instance(str))
 FLAG = Kind("true or false", _is_instance(bool))
 
 NUMBER = Kind("a number", is_number)
-
-NUMBER_OR_FALSE = Kind("a number or false", _is_number_or_false)
 
 NUMBER_OR_FLAG = Kind("a number, true or false", _is_number_or_flag)
 
