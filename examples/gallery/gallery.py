@@ -248,15 +248,6 @@ def biker(captures: Captures, width: int) -> Shot:
     return scene, camera((0.7, 2.2, 3.9), (0.15, 2.35, 0.0), 0.5, width, exposure=0.3)
 
 
-def studio(captures: Captures, width: int) -> Shot:
-    """Returns the biker in a dark studio: a warm light before him, and a blue one behind."""
-    key = ls.LightSphere((-3.28, 4.2, 2.29), 0.4, (1.0, 0.74, 0.5), 260.0, visible=False)
-    rim = ls.LightSphere((3.4, 3.6, -2.6), 0.5, (0.3, 0.5, 1.0), 80.0, visible=False)
-    fill = ls.LightEnvironment(color=(0.35, 0.42, 0.55), intensity=0.05, visible=False)
-    scene = ls.Scene([captures.biker(turned(100))], [backdrop((0.07, 0.07, 0.075), 9.0)], [key, rim, fill])
-    return scene, camera((0.0, 1.75, 7.0), (0.0, 1.6, 0.0), 0.52, width, exposure=1.0)
-
-
 def backdrop(
     color: tuple[float, float, float] = (0.16, 0.16, 0.17), depth: float = 3.0, height: float = 0.0
 ) -> ls.MeshInstance:
@@ -279,18 +270,6 @@ def fur(captures: Captures, width: int) -> Shot:
 def tinted(captures: Captures, width: int) -> Shot:
     """Returns the cube of fur, whose shadow has its colours."""
     return fur(captures, width)
-
-
-def gloss(captures: Captures, width: int) -> Shot:
-    """Returns the biker in polished leathers, in a light from above."""
-    key = ls.LightSphere((-1.6, 5.2, 2.8), 0.5, (1.0, 0.93, 0.85), 320.0, visible=False)
-    fill = ls.LightEnvironment(color=(0.6, 0.7, 0.9), intensity=0.25, visible=False)
-    capture = captures.gaussians("biker.spz")
-    polished = ls.MaterialPbr(roughness=0.35, specular=0.5)
-    biker = ls.SplatInstance(replace(capture, normals=ls.estimate_normals(capture, "smooth")), turned(100), polished)
-    return ls.Scene([biker], [backdrop((0.10, 0.10, 0.11), 9.0)], [key, fill]), camera(
-        (0.0, 2.0, 4.6), (0.0, 2.1, 0.0), 0.44, width, exposure=0.6
-    )
 
 
 def scaled(transform: np.ndarray | None, size: float, place: tuple[float, float, float]) -> np.ndarray:
@@ -327,7 +306,7 @@ def flight(captures: Captures, width: int, time: float = 0.5) -> Shot:
 
 
 PICTURES: dict[str, Callable[[Captures, int], Shot]] = {
-    one.__name__: one for one in (sunset, day, night, cow, lake, biker, studio, fur, tinted, gloss, statue)
+    one.__name__: one for one in (sunset, day, cow, lake, biker, fur, tinted, statue)
 }
 VIDEOS: dict[str, tuple[Callable[[Captures, int, float], Shot], list[float], int]] = {
     "hero": (sunset, list(np.linspace(32.0, -3.5, 16)), 10),

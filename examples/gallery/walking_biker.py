@@ -218,7 +218,7 @@ def room() -> ls.Animation:
     """Walks through the demo room, which has y up, in the sun of its window."""
     demo = ls.demo_scene()
     sun = ls.LightDirectional((0.75, -0.62, -0.33), (1.0, 0.75, 0.46), 2.6, angle=0.02, shadow_distance=0.5, name="sun")
-    upright = placed(1.75, 0.0, 0.75, 0.56, 0.0) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    upright = placed(1.75, 0.0, 0.5, 0.56, 0.0) @ np.diag([1.0, -1.0, -1.0, 1.0])
     biker = ls.Actor(walker(bend(2.2, 1.7, -1.2)), None, upright, name="biker")
     furniture = ls.Actor(ls.Scene(meshes=demo.meshes), casts_shadow=False)  # its shadows are captured
     camera = ls.Camera.look_at((0.75, 1.35, 4.6), (-0.1, 0.95, 0.0), width=1280, height=720, fov_y=0.66)
