@@ -53,6 +53,17 @@ def test_bvh_poses_equal_forward_kinematics_by_hand(tmp_path: Path, order: str) 
         np.testing.assert_allclose(world[1, :3, :3], root @ about("Y", row[6]), atol=1e-14)
 
 
+def test_bvh_with_a_frame_more_than_it_states_is_read_without_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Some programs count wrong by one; a line says what is left out."""
+    path = tmp_path / "arm.bvh"
+    path.write_text(arm_bvh().replace("Frames: 2", "Frames: 1"))
+    _, clip = read_bvh(path)
+    assert clip.duration == 0.0
+    assert "has 2 frames, but states 1: the last one is left out" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [

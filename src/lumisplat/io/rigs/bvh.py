@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,8 @@ from lumisplat.io.files.source import parsing, read_text
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Skeleton, Track
+
+_log = logging.getLogger("lumisplat")
 
 _KIND = "a BVH file"
 _AXES = "XYZ"
@@ -44,6 +47,9 @@ def read_bvh(path: Path) -> tuple[Skeleton, Clip]:
         width = sum(len(joint.channels) for joint in joints)
         rows = [line for line in lines[begin:] if line.strip()]
         values = np.loadtxt(rows, np.float64, comments=None, ndmin=2) if rows else np.zeros((0, 0))
+        if len(values) == frames + 1:
+            _log.warning("%s: has %d frames, but states %d: the last one is left out", path, frames + 1, frames)
+            values = values[:frames]
         if width == 0 or values.shape != (frames, width):
             found = f"{len(values):,} frames of {values.shape[1]} numbers"
             raise FormatError(path, f"has {found}, expected {frames:,} of {width}, as it states")
