@@ -9,7 +9,7 @@ from lumisplat.constants import BOX_MARGIN
 from lumisplat.device.bvh.nodes import footprint_of_ray, footprint_variance, larger, lesser, tree_ray
 from lumisplat.device.math.memory import aligned_load_of
 from lumisplat.device.math.sh import sh_color
-from lumisplat.device.splat.projection import ALPHA_LIMIT, OPACITY_MIN, alpha_from_log, gaussian_normal
+from lumisplat.device.splat.projection import ALPHA_LIMIT, OPACITY_MIN, alpha_from_log, entry_normal, gaussian_normal
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, HIT_PEAK, Box, Particle, TreeRay
 from lumisplat.device.structs.camera import CameraData
@@ -141,15 +141,10 @@ def ellipsoid_normal(
     variance = footprint_variance(footprint, path, instance.scale * wp.max(scales))
     for k in range(3):
         scales[k] = wp.sqrt(scales[k] * scales[k] + variance)
-    canonical = canonical_from_object(gaussians.rotations[i], scales)
-    start = canonical * (origin - gaussians.means[i])
-    along = wp.normalize(canonical * direction)
-    across = start - wp.dot(start, along) * along
-    depth2 = reach2 - wp.length_sq(across)
-    entry = across - wp.sqrt(wp.max(depth2, 0.0)) * along
     smallest = wp.min(scales)
-    normal = wp.normalize(wp.transpose(canonical * smallest) * entry)
-    return wp.where(wp.dot(normal, direction) > 0.0, -normal, normal)
+    canonical = smallest * canonical_from_object(gaussians.rotations[i], scales)
+    start = canonical * (origin - gaussians.means[i])
+    return entry_normal(canonical, start, direction, smallest * smallest * reach2)
 
 
 @wp.func

@@ -105,6 +105,25 @@ def towards(normal: wp.vec3, to_eye: wp.vec3, beyond: float) -> wp.vec3:
 
 
 @wp.func
+def entry_normal(canonical: wp.mat33, start: wp.vec3, direction: wp.vec3, reach2: float) -> wp.vec3:
+    """Returns the unit normal, towards the ray, where a ray enters the ellipsoid that is a sphere in canonical space.
+
+    A ray that misses the ellipsoid has the normal of its nearest point, orthogonal to the ray. Normals that rounding
+    turns away from the ray are flipped, but not at this horizon, where either side may be meant.
+
+    Args:
+        canonical: Linear map from the ray's space to canonical space; at most of length 1, for float32.
+        start: Origin of the ray in canonical space, where the ellipsoid is centred.
+        direction: Direction of the ray, of any length.
+        reach2: Squared radius of the sphere.
+    """
+    along = wp.normalize(canonical * direction)
+    across = start - wp.dot(start, along) * along
+    entry = across - wp.sqrt(wp.max(reach2 - wp.length_sq(across), 0.0)) * along
+    return towards(wp.normalize(wp.transpose(canonical) * entry), -direction, BENT_COSINE)
+
+
+@wp.func
 def above_horizon(direction: wp.vec3, axis: wp.vec3) -> wp.vec3:
     """Returns a unit direction; if it points below the plane orthogonal to ``axis``, it is rotated to just above it."""
     cosine = wp.dot(direction, axis)
