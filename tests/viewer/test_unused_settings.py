@@ -189,7 +189,6 @@ def test_clearing_the_transparent_background_checkbox_restores_the_last_colour()
         ("RenderConfig.adaptive=True needs traced camera rays: use Pipeline.PATH", "adaptive on needs traced"),
         ("where RenderConfig.shadow_rays.hit_distance is 'mean'", "where hit distance is 'mean'"),
         ("hit_distance is 'mean', expected 'peak'", "hit distance is 'mean'"),
-        ("NormalMethod.ELLIPSOID is not used", "normal method ellipsoid is not used"),
         ("my_max_bounces.ply: cannot be read", "my_max_bounces.ply: cannot be read"),
         ("/a/time_limit/b/max_bounces.toml: no such file", "/a/time_limit/b/max_bounces.toml: no such file"),
         ("max_bounces-2.png is not written", "max_bounces-2.png is not written"),

@@ -144,8 +144,7 @@ class NormalMethod(Enum):
     PLANE = "plane"
     """Normal of the plane that approximates its largest densities (Kheradmand et al. 2025)."""
     ELLIPSOID = "ellipsoid"
-    """Normal of the ellipsoid outside which the Gaussian is ignored, where the ray enters it. For rays only:
-    rasterised Gaussians, such as primary hits of the hybrid pipeline, use ``PLANE``."""
+    """Normal of the ellipsoid outside which the Gaussian is ignored, where the ray enters it."""
 
 
 class ShadowMethod(Enum):
@@ -192,7 +191,8 @@ class TraceConfig:
     """Settings of the ray tracer.
 
     ``Pipeline.TRACE``, ``trace_rays`` and ``transmittance`` read them, and ``Pipeline.HYBRID`` does for mirrors and
-    glass. Shadow rays have their own settings, `ShadowConfig`.
+    glass. The rasteriser reads ``hit_distance`` and ``normal_method``, too. Shadow rays have their own settings,
+    `ShadowConfig`.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
@@ -216,8 +216,7 @@ class TraceConfig:
     ``dilation`` to them.
     """
     normal_method: NormalMethod = NormalMethod.PLANE
-    """Normal of a single Gaussian that a ray hits. Rasterised Gaussians always use ``PLANE``, in the raster pipeline
-    and at primary hits of the hybrid and real-time ones."""
+    """Normal of a single Gaussian, traced or rasterised. Gaussians that store normals and reflect light keep these."""
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = SH_DEGREE_MAX
     """Highest degree of spherical harmonics (SH) that is evaluated; 0 gives every Gaussian the same colour from all
     sides."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.config import GaussianSurface, NormalMethod, Projection, RasterStrategy, RenderConfig, TraceConfig
+from lumisplat.config import GaussianSurface, Projection, RasterStrategy, RenderConfig
 from lumisplat.config.checks import check_kind
 from lumisplat.config.render import PATH_AOVS, REALTIME_AOVS
 from lumisplat.constants import ITEMS_MAX, KERNEL_DEGREE, SAMPLES_MAX
@@ -204,7 +204,6 @@ class RasterWarnings:
     def __init__(self) -> None:
         self._warned_of_degrees: set[int] = set()
         self._has_warned_of_mirrors = False
-        self._has_warned_of_normals = False
 
     def warn_of_mirrors(self, scene: Scene) -> None:
         """Logs once that smooth meshes in lit raster frames reflect only the environment, or else the background."""
@@ -215,15 +214,6 @@ class RasterWarnings:
                 "%d smooth meshes (mirrors, glass) reflect only the environment in the raster pipeline: "
                 "Pipeline.HYBRID traces their reflections and refractions",
                 count,
-            )
-
-    def warn_of_normals(self, config: TraceConfig) -> None:
-        """Logs once that hybrid frames ignore NormalMethod.ELLIPSOID for Gaussians that the camera sees directly."""
-        if config.normal_method is NormalMethod.ELLIPSOID and not self._has_warned_of_normals:
-            self._has_warned_of_normals = True
-            _log.warning(
-                "NormalMethod.ELLIPSOID is not used for directly visible Gaussians in the hybrid pipeline: "
-                "Pipeline.TRACE uses it"
             )
 
     def warn_of_degree(self, scene: Scene) -> None:

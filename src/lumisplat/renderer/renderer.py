@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import Projection, RasterStrategy, RenderConfig
-from lumisplat.config.pipelines import Integrator
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError, DeviceError
 from lumisplat.frame.frame import Frame
@@ -576,8 +575,6 @@ class Renderer:
             check_projection(self.config)
             refuse_lens(camera, self.config.pipeline, self.config.raster.projection)
             self._warnings.warn_of_degree(scene)
-        if plan.rasterises and self.config.pipeline.integrator is Integrator.WHITTED and scene.splats:
-            self._warnings.warn_of_normals(self.config.trace)
         if plan.is_lit and not self.config.pipeline.spawns_rays:
             self._warnings.warn_of_mirrors(scene)
 

@@ -10,7 +10,9 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import TILE_PX
+from lumisplat.device.structs.raster import SplatEllipsoid
 from lumisplat.renderer.raster import splat_kernels
+from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from support.kernels import compile_for_cuda
 from support.scenes.raster_scenes import front_camera, quad, random_gaussians
@@ -24,7 +26,8 @@ class ByPixels(Launcher):
     def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
         """Runs one thread for each pixel instead of thread blocks."""
         assert kernel is splat_kernels.composite_blocks
-        self.run_banded(splat_kernels.composite_pixels, blocks * TILE_PX * TILE_PX, *inputs)
+        no_ellipsoids = Buffers("cpu").get("none", SplatEllipsoid, 0)
+        self.run_banded(splat_kernels.composite_pixels, blocks * TILE_PX * TILE_PX, *inputs, no_ellipsoids)
 
 
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.95])

@@ -13,9 +13,12 @@ from support.compare.images import assert_close_outside_band
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import Case, cases
 
+ELLIPSOIDS = ("instances", "merged", "needles", "antialiased by the file", "no dilation", "mesh crossing")
+"""Names of the cases that are drawn once more with normals of ellipsoids."""
 
-def merged_cases() -> list[Case]:
-    """Returns all cases, and that of several instances once more, merged by the depths of their surfaces."""
+
+def all_cases() -> list[Case]:
+    """Returns all cases, several instances merged by the depths of their surfaces, and some with other normals."""
     by_peaks = ls.config.TraceConfig(hit_distance=ls.config.HitDistance.PEAK)
     merged = [
         replace(one, name="merged", config=replace(one.config, trace=by_peaks))
@@ -23,10 +26,16 @@ def merged_cases() -> list[Case]:
         if one.name == "instances"
     ]
     assert merged
-    return [*cases(), *merged]
+    every = [*cases(), *merged]
+    trace = {one.name: replace(one.config.trace, normal_method=ls.config.NormalMethod.ELLIPSOID) for one in every}
+    return every + [
+        replace(one, name=f"{one.name}, ellipsoids", config=replace(one.config, trace=trace[one.name]))
+        for one in every
+        if one.name in ELLIPSOIDS
+    ]
 
 
-@pytest.mark.parametrize("case", merged_cases(), ids=lambda case: case.name)
+@pytest.mark.parametrize("case", all_cases(), ids=lambda case: case.name)
 def test_rasterised_frame_equals_the_float64_reference(case: Case, backend: str) -> None:
     """Every image equals the twin's to float32 precision, except where rounding may flip a decision.
 

@@ -494,17 +494,3 @@ def test_raster_and_trace_pipelines_give_nearly_equal_frames_of_small_gaussians(
     np.testing.assert_array_equal(trace.gaussian_index[both], raster.gaussian_index[both])
     assert_close(trace.depth[both], raster.depth[both], atol=0.02, name="depth")
     assert_close(trace.normal[both], raster.normal[both], atol=1e-5, name="normal")
-
-
-def test_hybrid_pipeline_logs_that_it_does_not_use_ellipsoid_normals(caplog: pytest.LogCaptureFixture) -> None:
-    """One warning names the pipeline that supports ellipsoid normals."""
-    scene, camera = ls.Scene([random_gaussians(1, count=5)]), front_camera(8, 8)
-    for pipeline, lines in ((ls.Pipeline.HYBRID, 1), (ls.Pipeline.TRACE, 0), (ls.Pipeline.RASTER, 0)):
-        caplog.clear()
-        trace = ls.TraceConfig(normal_method=ls.config.NormalMethod.ELLIPSOID)
-        renderer = ls.create_renderer(ls.RenderConfig(pipeline=pipeline, lighting=False, trace=trace), "cpu")
-        for _ in range(2):
-            renderer.render(scene, camera)
-        said = [record.getMessage() for record in caplog.records if "NormalMethod.ELLIPSOID" in record.getMessage()]
-        assert len(said) == lines
-        assert all("Pipeline.TRACE uses it" in line for line in said)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from lumisplat.config import Antialiasing, HitDistance, RasterConfig, RenderConfig
+from lumisplat.config import Antialiasing, HitDistance, NormalMethod, RasterConfig, RenderConfig
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, JACOBIAN_CLAMP, NORMAL_DEGENERATE
 from lumisplat.device.gaussian.particle import SURFACE_DEPTH_SCALES
 from lumisplat.device.splat.projection import COVARIANCE_2D_DET_MIN
@@ -40,6 +40,7 @@ class Splats:
     depth_z: np.ndarray  # (N,), of the mean
     mean_camera: np.ndarray  # (N, 3)
     canonical: np.ndarray  # (N, 3, 3), canonical space from camera space
+    unit: np.ndarray  # (N, 3, 3), from camera space to where the Gaussian, widened to a pixel, ends at the unit sphere
     widest: np.ndarray  # (N,), the largest scale
     normal: np.ndarray  # (N, 3), world, towards the eye
     gaussian_index: np.ndarray  # (N,)
@@ -64,7 +65,8 @@ def render(scene: Scene, camera: Camera, config: RenderConfig | None = None) -> 
     splats = project(scene, camera, config.raster)
     fragments = rasterize_meshes(scene, camera)
     merges = config.trace.hit_distance is HitDistance.PEAK
-    frame = composite(splats, fragments, camera, config.raster, merges=merges)
+    ellipsoids = config.trace.normal_method is NormalMethod.ELLIPSOID
+    frame = composite(splats, fragments, camera, config.raster, merges=merges, ellipsoids=ellipsoids)
     if config.background is not None:
         frame["color"] = frame["color"] + (1.0 - frame["alpha"])[..., None] * np.asarray(config.background)
     return frame
@@ -156,6 +158,12 @@ def jacobian(mean_camera: np.ndarray, camera: Camera) -> np.ndarray:
     return np.stack(rows, axis=-1).reshape(-1, 2, 3)
 
 
+def pixel_variance(mean_camera: np.ndarray, camera: Camera) -> np.ndarray:
+    """Returns the squared width of a pixel at each mean, by its solid angle, shape (N,)."""
+    z, distance = mean_camera[:, 2], np.linalg.norm(mean_camera, axis=1)
+    return z**3 / (camera.fx * camera.fy * distance)
+
+
 def project_instance(instance: SplatInstance, number: int, camera: Camera, config: RasterConfig) -> Splats:
     """Returns the visible Gaussians of one instance, in the order of the asset."""
     means, axes, scales = world_gaussians(instance)
@@ -169,7 +177,10 @@ def project_instance(instance: SplatInstance, number: int, camera: Camera, confi
     dilated = sharp + config.dilation * np.eye(2)
     opacity = instance.gaussians.opacities[kept].astype(np.float64)
     antialiased = instance.gaussians.antialiased
+    widened = axes / np.hypot(scales, np.sqrt(config.dilation * pixel_variance(mean_camera, camera))[:, None])[:, None]
+    reach = np.sqrt(2.0 * np.log(np.maximum(opacity / ALPHA_MIN, 1.0)))
     if config.antialiasing is Antialiasing.ON or (config.antialiasing is Antialiasing.AUTO and antialiased):
+        widened = axes / scales[:, None, :]
         opacity = opacity * np.sqrt(np.maximum(np.linalg.det(sharp) / np.linalg.det(dilated), 0.0))
 
     x, y, z = mean_camera.T
@@ -183,6 +194,7 @@ def project_instance(instance: SplatInstance, number: int, camera: Camera, confi
         depth_z=z,
         mean_camera=mean_camera,
         canonical=(view[:3, :3] @ axes / scales[:, None, :]).transpose(0, 2, 1),
+        unit=(view[:3, :3] @ widened).transpose(0, 2, 1) / np.maximum(reach, 1e-9)[:, None, None],
         widest=scales.max(axis=1),
         normal=normalized(np.einsum("nij,nj->ni", inverse_covariance, to_eye)),
         gaussian_index=kept,
@@ -367,9 +379,9 @@ def layers(splats: Splats, fragments: Fragments, camera: Camera, *, merges: bool
 
 
 def composite(
-    splats: Splats, fragments: Fragments, camera: Camera, config: RasterConfig, *, merges: bool
+    splats: Splats, fragments: Fragments, camera: Camera, config: RasterConfig, *, merges: bool, ellipsoids: bool
 ) -> dict[str, np.ndarray]:
-    """Blends splats front to back, then the mesh behind them."""
+    """Blends splats front to back, then the mesh behind them; ``ellipsoids``: with normals where rays enter them."""
     shape = (camera.height, camera.width)
     color, normal, weight = np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape)
     transmittance, last_z = np.ones(shape), np.full(shape, -np.inf)
@@ -396,7 +408,7 @@ def composite(
 
         share = np.where(accepted, alpha * transmittance[at], 0.0)
         color[at] += share[..., None] * splats.color[i]
-        normal[at] += share[..., None] * splats.normal[i]
+        normal[at] += share[..., None] * (entry_normals(splats, i, camera)[at] if ellipsoids else splats.normal[i])
         weight[at] += share
         transmittance[at] = np.where(accepted, after, transmittance[at])
         last_z[at] = np.where(accepted, z, last_z[at])
@@ -439,6 +451,20 @@ def peak_depth(splats: Splats, i: int | np.ndarray, camera: Camera) -> np.ndarra
     z = (direction * mean).sum(axis=-1) / (direction**2).sum(axis=-1)
     reach = SURFACE_DEPTH_SCALES * splats.widest[i] / np.linalg.norm(rays, axis=-1)
     return np.maximum(np.clip(z, splats.depth_z[i] - reach, splats.depth_z[i] + reach), camera.near)
+
+
+def entry_normals(splats: Splats, i: np.ndarray, camera: Camera) -> np.ndarray:
+    """Returns the world normal of splat ``i``, () or (H, W), where each pixel's ray enters its ellipsoid, (H, W, 3).
+
+    The nearest point replaces the entry on rays that miss it.
+    """
+    rays = normalized(pixel_rays(camera))
+    along = normalized(np.einsum("...ij,...j->...i", splats.unit[i], rays))
+    start = -np.einsum("...ij,...j->...i", splats.unit[i], splats.mean_camera[i])
+    across = start - (start * along).sum(axis=-1, keepdims=True) * along
+    half = np.sqrt(np.maximum(1.0 - (across**2).sum(axis=-1, keepdims=True), 0.0))
+    normal = normalized(np.einsum("...ji,...j->...i", splats.unit[i], across - half * along))
+    return normal @ camera.camera_from_world[:3, :3]
 
 
 def integrated_normal(normal_sum: np.ndarray, weight_sum: np.ndarray, camera: Camera) -> np.ndarray:

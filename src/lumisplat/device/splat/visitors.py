@@ -41,11 +41,21 @@ from lumisplat.device.splat.blending import (
 )
 from lumisplat.device.splat.compositor import Footprint, PixelVisitor, TileVisitor, backward_arrays
 from lumisplat.device.splat.ellipse import EllipseAt, first_touching, pixel_at
+from lumisplat.device.splat.ellipsoid import normal_of_splat, normal_on_ray
 from lumisplat.device.splat.projection import ALPHA_LIMIT, alpha_from_log, visible_alpha
 from lumisplat.device.splat.ray_splat import RayAt
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData, PixelData, SampleData
-from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, RayRasterData, RaySplat, Splat, TileRect
+from lumisplat.device.structs.raster import (
+    BlendState,
+    MeshPixels,
+    RasterData,
+    RayRasterData,
+    RaySplat,
+    Splat,
+    SplatEllipsoid,
+    TileRect,
+)
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import SplatInstanceData
 
@@ -590,9 +600,13 @@ class NoArrays:
 
 @struct
 class SplatInstances:
-    """The splat instances of the scene."""
+    """The splat instances of the scene, and a pixel's ray through the ellipsoids of their Gaussians."""
 
     instances: wp.array[SplatInstanceData]
+    ellipsoids: wp.array[SplatEllipsoid]
+    """Ellipsoids whose normals are blended; empty if those of splats are."""
+    direction: wp.vec3
+    """Direction of the pixel's ray, world space, of any length."""
 
 
 @wp.func
@@ -601,33 +615,51 @@ def wants_all(pixel: BlendState, splat: Any) -> bool:
     return True
 
 
-@wp.func
-def blend_ellipse_at_pixel(
-    pixel: wp.ref[BlendState], splat: Splat, log_alpha: float, settings: RasterData, arrays: SplatInstances
-):
-    """Blends a splat, evaluated as an ellipse, behind those that the pixel has already blended."""
-    pixel = blend_own(pixel, splat, alpha_from_log(log_alpha), settings, arrays.instances)
+def ellipse_blending(normal_of: Any) -> PixelVisitor:
+    """Builds the visitor that blends ellipses at a pixel, with normals by ``normal_on_ray`` or ``normal_of_splat``."""
+
+    @wp.func
+    def blend_ellipse_at_pixel(
+        pixel: wp.ref[BlendState], splat: Splat, log_alpha: float, settings: RasterData, arrays: SplatInstances
+    ):
+        """Blends a splat, evaluated as an ellipse, behind those that the pixel has already blended."""
+        splat.normal = normal_of(arrays.ellipsoids, splat.index, wp.vec3(0.0), arrays.direction, splat.normal)
+        pixel = blend_own(pixel, splat, alpha_from_log(log_alpha), settings, arrays.instances)
+
+    return PixelVisitor(BlendState, SplatInstances, wants_all, blend_ellipse_at_pixel, ends_by_depth=True)
 
 
 @struct
 class RelitHits:
-    """Arrays that sum colour and weight of relit splat sets on a ray, in scenes that also have other splat sets."""
+    """A ray, and arrays that sum what relit splat sets contribute to it, in scenes that also have other splat sets."""
 
     instances: wp.array[SplatInstanceData]
     hits: GaussianHits
     ray: int
+    ellipsoids: wp.array[SplatEllipsoid]
+    """Ellipsoids whose normals are blended; empty if those of splats are."""
+    moved: wp.vec3
+    """Rolling shutter: the ray's origin relative to the eye at the start of the first row, world space."""
+    direction: wp.vec3
+    """Direction of the ray, world space."""
 
 
-@wp.func
-def blend_at_ray(
-    pixel: wp.ref[BlendState], splat: RaySplat, log_alpha: float, settings: RayRasterData, relit: RelitHits
-):
-    """Blends a Gaussian behind those that the ray of a pixel has already blended."""
-    alpha = alpha_from_log(log_alpha)
-    blended = blend(pixel, splat, alpha, settings.transmittance_min, splat.iso)
-    if relit.hits.relit_weight and blended.transmittance > 0.0:
-        add_relit(relit.hits, relit.ray, relit.instances, pixel, blended, splat.index)
-    pixel = blended
+def ray_blending(normal_of: Any) -> PixelVisitor:
+    """Builds the visitor that blends Gaussians along a pixel's ray; the argument is as for ``ellipse_blending``."""
+
+    @wp.func
+    def blend_at_ray(
+        pixel: wp.ref[BlendState], splat: RaySplat, log_alpha: float, settings: RayRasterData, relit: RelitHits
+    ):
+        """Blends a Gaussian behind those that the ray of a pixel has already blended."""
+        alpha = alpha_from_log(log_alpha)
+        splat.normal = normal_of(relit.ellipsoids, splat.index, relit.moved, relit.direction, splat.normal)
+        blended = blend(pixel, splat, alpha, settings.transmittance_min, splat.iso)
+        if relit.hits.relit_weight and blended.transmittance > 0.0:
+            add_relit(relit.hits, relit.ray, relit.instances, pixel, blended, splat.index)
+        pixel = blended
+
+    return PixelVisitor(BlendState, RelitHits, wants_all, blend_at_ray, ends_by_depth=False)
 
 
 @struct
@@ -661,8 +693,8 @@ def draw_sample(sample: wp.ref[Sample], splat: Splat, log_alpha: float, settings
         sample.winner = splat.index
 
 
-ELLIPSE_COLOR = PixelVisitor(BlendState, SplatInstances, wants_all, blend_ellipse_at_pixel, ends_by_depth=True)
+ELLIPSE_COLOR, ELLIPSE_ELLIPSOIDS = ellipse_blending(normal_of_splat), ellipse_blending(normal_on_ray)
 
-RAY_COLOR = PixelVisitor(BlendState, RelitHits, wants_all, blend_at_ray, ends_by_depth=False)
+RAY_COLOR, RAY_ELLIPSOIDS = ray_blending(normal_of_splat), ray_blending(normal_on_ray)
 
 ELLIPSE_SAMPLE = PixelVisitor(Sample, NoArrays, wants_nearer, draw_sample, ends_by_depth=False)

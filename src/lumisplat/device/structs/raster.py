@@ -54,6 +54,22 @@ class Splat:
 
 
 @struct
+class SplatEllipsoid:
+    """The ellipsoid at which a rasterised Gaussian ends, where its alpha is 1/255, 52 bytes.
+
+    Its canonical space is scaled: unit spheres have the radius of the Gaussian's smallest standard deviation. This
+    keeps flat Gaussians inside float32.
+    """
+
+    canonical_from_world: wp.mat33
+    """Linear map from world space to the space where the Gaussian, widened by a pixel's footprint, is a sphere."""
+    eye: wp.vec3
+    """Position of the eye in that space; with a rolling shutter, at the start of the first row."""
+    reach2: float
+    """Squared radius of the sphere at which the Gaussian ends; negative: pixels show the normal of its splat."""
+
+
+@struct
 class TileRect:
     """Half-open rectangle of image tiles that a splat may touch, 8 bytes; empty for culled splats."""
 

@@ -4,17 +4,19 @@ The CPU's and CUDA's schedules are separate Warp modules, as in ``splat_kernels`
 docs/method/unscented.md.
 """
 
+from typing import Any
+
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
 from lumisplat.device.camera.pixels import TILE_PIXELS, is_in_window, ray_index, ray_of_pixel, tile_pixel
 from lumisplat.device.gaussian.particle import surface_peak
 from lumisplat.device.splat.blending import begin_relit, empty_pixel, instance_of
-from lumisplat.device.splat.compositor import TILE_OPTIONS, pixel_walk, tile_walk
+from lumisplat.device.splat.compositor import TILE_OPTIONS, PixelVisitor, pixel_walk, tile_walk
 from lumisplat.device.splat.ray_splat import ALONG_RAYS, is_finite, pixel_at, ray_splat, tiles_of
-from lumisplat.device.splat.visitors import RAY_COLOR, RAY_COLORS, RelitHits
+from lumisplat.device.splat.visitors import RAY_COLOR, RAY_COLORS, RAY_ELLIPSOIDS, RelitHits
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat, TileRect
+from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat, SplatEllipsoid, TileRect
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
@@ -114,52 +116,69 @@ def composite_tiles(
     blend_tile(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, around, hits_out)
 
 
-# CUDA, and CPUs where blended Gaussians are counted or relit sets are accumulated separately: one item is one pixel.
+# CUDA, and CPUs where Gaussians are counted, relit sets summed separately, or normals are those of ellipsoids: one item
+# is one pixel.
 
 PIXELS = wp.get_module(f"{__name__}.pixels")
 wp.set_module_options(OPTIONS, PIXELS)
 
-blend_pixel = pixel_walk(ALONG_RAYS, RAY_COLOR)
+
+def pixel_kernel(module: wp.Module, visitor: PixelVisitor) -> Any:
+    """Builds the kernel that blends Gaussians along the rays of pixels, as its namesake in ``splat_kernels``."""
+    blend_pixel = pixel_walk(ALONG_RAYS, visitor)
+
+    @wp.kernel(module=module)
+    def composite_pixels(
+        start: int,
+        camera: wp.array[CameraData],
+        settings: wp.array[RayRasterData],
+        instances: wp.array[SplatInstanceData],
+        splats: wp.array[RaySplat],
+        tile_starts: wp.array[int],
+        tile_splats: wp.array[int],
+        rays: RayData,
+        limits: wp.array[float],
+        hits_out: GaussianHits,
+        ellipsoids: wp.array[SplatEllipsoid],
+    ):
+        """Blends the Gaussians listed for a pixel's tile into the hit of the pixel's ray.
+
+        One thread per pixel, with index tile * 256 + pixel of the tile. Surface depths are 0 until ``set_depth`` runs.
+        """
+        i = start + wp.tid()
+        view = camera[0]
+        at = tile_pixel(view, i)
+        if not is_in_window(view, at[0], at[1]):
+            return
+        around = PixelRays()
+        around.rays = rays
+        around.limits = limits
+        relit = RelitHits()
+        relit.instances = instances
+        relit.hits = hits_out
+        relit.ray = ray_index(view, at[0], at[1])
+        begin_relit(hits_out, relit.ray)
+        pixel = empty_pixel()
+        seen = pixel_at(view, around, at[0], at[1])
+        relit.ellipsoids = ellipsoids
+        relit.moved = seen.time * seen.motion
+        relit.direction = seen.direction
+        if seen.limit_z == 0.0:
+            pixel.transmittance = -1.0  # there is no ray
+        blend_pixel(i // TILE_PIXELS, seen, settings[0], splats, tile_starts, tile_splats, pixel, relit)
+        hits_out.color[relit.ray] = pixel.color
+        hits_out.normal[relit.ray] = pixel.normal
+        hits_out.transmittance[relit.ray] = wp.abs(pixel.transmittance)
+        hits_out.depth[relit.ray] = wp.where(pixel.surface >= 0, 0.0, wp.inf)
+        hits_out.gaussian[relit.ray] = wp.where(pixel.surface >= 0, pixel.surface, pixel.first)
+        hits_out.hits[relit.ray] = pixel.hits
+
+    return composite_pixels
 
 
-@wp.kernel(module=PIXELS)
-def composite_pixels(
-    start: int,
-    camera: wp.array[CameraData],
-    settings: wp.array[RayRasterData],
-    instances: wp.array[SplatInstanceData],
-    splats: wp.array[RaySplat],
-    tile_starts: wp.array[int],
-    tile_splats: wp.array[int],
-    rays: RayData,
-    limits: wp.array[float],
-    hits_out: GaussianHits,
-):
-    """Blends the Gaussians listed for a pixel's tile into the hit of the pixel's ray.
+composite_pixels = pixel_kernel(PIXELS, RAY_COLOR)
 
-    One thread per pixel, with index tile * 256 + pixel of the tile. Surface depths are 0 until ``set_depth`` runs.
-    """
-    i = start + wp.tid()
-    view = camera[0]
-    at = tile_pixel(view, i)
-    if not is_in_window(view, at[0], at[1]):
-        return
-    around = PixelRays()
-    around.rays = rays
-    around.limits = limits
-    relit = RelitHits()
-    relit.instances = instances
-    relit.hits = hits_out
-    relit.ray = ray_index(view, at[0], at[1])
-    begin_relit(hits_out, relit.ray)
-    pixel = empty_pixel()
-    seen = pixel_at(view, around, at[0], at[1])
-    if seen.limit_z == 0.0:
-        pixel.transmittance = -1.0  # there is no ray
-    blend_pixel(i // TILE_PIXELS, seen, settings[0], splats, tile_starts, tile_splats, pixel, relit)
-    hits_out.color[relit.ray] = pixel.color
-    hits_out.normal[relit.ray] = pixel.normal
-    hits_out.transmittance[relit.ray] = wp.abs(pixel.transmittance)
-    hits_out.depth[relit.ray] = wp.where(pixel.surface >= 0, 0.0, wp.inf)
-    hits_out.gaussian[relit.ray] = wp.where(pixel.surface >= 0, pixel.surface, pixel.first)
-    hits_out.hits[relit.ray] = pixel.hits
+ELLIPSOIDS = wp.get_module(f"{__name__}.ellipsoids")
+wp.set_module_options(OPTIONS, ELLIPSOIDS)
+
+composite_ellipsoids = pixel_kernel(ELLIPSOIDS, RAY_ELLIPSOIDS)

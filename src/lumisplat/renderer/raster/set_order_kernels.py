@@ -4,6 +4,8 @@ Each capture keeps its own order, by means; captures are merged by the depths at
 pixel's ray. The method is in docs/method/rasterisation.md#several-sets.
 """
 
+from typing import Any
+
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
@@ -16,14 +18,16 @@ from lumisplat.device.camera.pixels import (
 )
 from lumisplat.device.splat.blending import blend_own, empty_pixel, instance_of, pixel_ray, store_result
 from lumisplat.device.splat.ellipse import EllipsePixel, evaluate, pixel_at
+from lumisplat.device.splat.ellipsoid import normal_of_splat, normal_on_ray
 from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log, depth_plane
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData, PixelData
-from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, Splat
+from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, Splat, SplatEllipsoid
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+OPTIONS = {"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS}
+wp.set_module_options(OPTIONS)
 
 STREAMS = 4
 """Number of streams of splats that a pixel merges. The fourth one takes the splats of all further captures of a
@@ -271,102 +275,124 @@ def next_touching(
     return end
 
 
-@wp.func
-def blend_listed(
-    pixel: BlendState,
-    raster: RasterData,
-    instances: wp.array[SplatInstanceData],
-    splats: wp.array[Splat],
-    tile_splats: wp.array[int],
-    begin: int,
-    end: int,
-    seen: EllipsePixel,
-) -> BlendState:
-    """Blends entries ``begin`` to ``end`` of the tile lists into a pixel, in their order."""
-    j = int(begin)
-    while j < end and pixel.transmittance > 0.0:
-        splat = splats[tile_splats[j]]
-        j += 1
-        if splat.depth >= seen.limit_z:
-            break
-        log_alpha = evaluate(splat, seen).log_alpha
-        if log_alpha >= LOG_ALPHA_MIN:
-            pixel = blend_own(pixel, splat, alpha_from_log(log_alpha), raster, instances)
-    return pixel
+def merge_kernel(module: wp.Module, normal_of: Any) -> Any:
+    """Builds the kernel that blends merged sets, in ``module``; ``normal_of`` is as for ``ellipse_blending``."""
+
+    @wp.func
+    def blend_listed(
+        pixel: BlendState,
+        raster: RasterData,
+        instances: wp.array[SplatInstanceData],
+        splats: wp.array[Splat],
+        tile_splats: wp.array[int],
+        begin: int,
+        end: int,
+        seen: EllipsePixel,
+        ellipsoids: wp.array[SplatEllipsoid],
+        direction: wp.vec3,
+    ) -> BlendState:
+        """Blends entries ``begin`` to ``end`` of the tile lists into a pixel, in their order."""
+        j = int(begin)
+        while j < end and pixel.transmittance > 0.0:
+            splat = splats[tile_splats[j]]
+            j += 1
+            if splat.depth >= seen.limit_z:
+                break
+            log_alpha = evaluate(splat, seen).log_alpha
+            if log_alpha >= LOG_ALPHA_MIN:
+                splat.normal = normal_of(ellipsoids, splat.index, wp.vec3(0.0), direction, splat.normal)
+                pixel = blend_own(pixel, splat, alpha_from_log(log_alpha), raster, instances)
+        return pixel
+
+    @wp.kernel(module=module)
+    def merge_sets(
+        start: int,
+        camera: wp.array[CameraData],
+        settings: wp.array[RasterData],
+        instances: wp.array[SplatInstanceData],
+        splats: wp.array[Splat],
+        tile_starts: wp.array[int],
+        tile_splats: wp.array[int],
+        tiles: wp.array[TileStreams],
+        streams: wp.array[StreamSplat],
+        meshes: MeshPixels,
+        for_rays: bool,
+        pixels_out: PixelData,
+        hits_out: GaussianHits,
+        ellipsoids: wp.array[SplatEllipsoid],
+    ):
+        """Per pixel that several streams of its tile touch: blends its splats again, merged by peak depth.
+
+        The thread index is tile * 256 + pixel of the tile.
+        """
+        i = start + wp.tid()
+        tile = i // TILE_PIXELS
+        if tiles[tile].end == 0:
+            return
+        view = camera[0]
+        at = tile_pixel(view, i)
+        if not is_in_window(view, at[0], at[1]):
+            return
+        seen = pixel_at(view, meshes, at[0], at[1])
+        x = seen.center[0]
+        y = seen.center[1]
+        first = tile_starts[tile] + tiles[tile].begin
+        cursors = tiles[tile].begins + wp.vec4i(tile_starts[tile])
+        ends = tiles[tile].ends + wp.vec4i(tile_starts[tile])
+        touching = int(0)
+        for s in range(STREAM_COUNT):
+            within_x = x >= tiles[tile].left[s] and x <= tiles[tile].right[s]
+            within_y = y >= tiles[tile].upper[s] and y <= tiles[tile].lower[s]
+            if within_x and within_y:
+                touching += 1
+            else:
+                cursors[s] = ends[s]
+        if touching < 2:
+            return
+        ray = pixel_ray(view, at[0], at[1])
+        nearness = wp.vec4(-wp.inf)
+        touching = int(0)
+        for s in range(STREAM_COUNT):
+            cursors[s] = next_touching(splats, streams, cursors[s], ends[s], seen)
+            if cursors[s] < ends[s]:
+                nearness[s] = wp.dot(streams[cursors[s]].plane, ray)
+                touching += 1
+        if touching < 2:
+            return
+        raster = settings[0]
+        direction = view.world_from_camera * ray
+        begin = tile_starts[tile]
+        pixel = blend_listed(
+            empty_pixel(), raster, instances, splats, tile_splats, begin, first, seen, ellipsoids, direction
+        )
+        if pixel.transmittance <= 0.0:
+            return
+        while touching > 0 and pixel.transmittance > 0.0:
+            s = int(0)
+            for other in range(1, STREAM_COUNT):
+                if nearness[other] > nearness[s]:
+                    s = other
+            splat = splats[streams[cursors[s]].index]
+            alpha = alpha_from_log(evaluate(splat, seen).log_alpha)
+            splat.normal = normal_of(ellipsoids, splat.index, wp.vec3(0.0), direction, splat.normal)
+            pixel = blend_own(pixel, splat, alpha, raster, instances)
+            cursors[s] = next_touching(splats, streams, cursors[s] + 1, ends[s], seen)
+            nearness[s] = -wp.inf
+            if cursors[s] < ends[s]:
+                nearness[s] = wp.dot(streams[cursors[s]].plane, ray)
+            else:
+                touching -= 1
+        behind = tile_starts[tile] + tiles[tile].end
+        last = tile_starts[tile + 1]
+        pixel = blend_listed(pixel, raster, instances, splats, tile_splats, behind, last, seen, ellipsoids, direction)
+        store_result(view, raster, instances, splats, meshes, pixel, at[0], at[1], for_rays, pixels_out, hits_out)
+
+    return merge_sets
 
 
-@wp.kernel
-def merge_sets(
-    start: int,
-    camera: wp.array[CameraData],
-    settings: wp.array[RasterData],
-    instances: wp.array[SplatInstanceData],
-    splats: wp.array[Splat],
-    tile_starts: wp.array[int],
-    tile_splats: wp.array[int],
-    tiles: wp.array[TileStreams],
-    streams: wp.array[StreamSplat],
-    meshes: MeshPixels,
-    for_rays: bool,
-    pixels_out: PixelData,
-    hits_out: GaussianHits,
-):
-    """Per pixel that several streams of its tile touch: blends its splats again, merged by peak depth.
+merge_sets = merge_kernel(wp.get_module(__name__), normal_of_splat)
 
-    The thread index is tile * 256 + pixel of the tile.
-    """
-    i = start + wp.tid()
-    tile = i // TILE_PIXELS
-    if tiles[tile].end == 0:
-        return
-    view = camera[0]
-    at = tile_pixel(view, i)
-    if not is_in_window(view, at[0], at[1]):
-        return
-    seen = pixel_at(view, meshes, at[0], at[1])
-    x = seen.center[0]
-    y = seen.center[1]
-    first = tile_starts[tile] + tiles[tile].begin
-    cursors = tiles[tile].begins + wp.vec4i(tile_starts[tile])
-    ends = tiles[tile].ends + wp.vec4i(tile_starts[tile])
-    touching = int(0)
-    for s in range(STREAM_COUNT):
-        within_x = x >= tiles[tile].left[s] and x <= tiles[tile].right[s]
-        within_y = y >= tiles[tile].upper[s] and y <= tiles[tile].lower[s]
-        if within_x and within_y:
-            touching += 1
-        else:
-            cursors[s] = ends[s]
-    if touching < 2:
-        return
-    ray = pixel_ray(view, at[0], at[1])
-    nearness = wp.vec4(-wp.inf)
-    touching = int(0)
-    for s in range(STREAM_COUNT):
-        cursors[s] = next_touching(splats, streams, cursors[s], ends[s], seen)
-        if cursors[s] < ends[s]:
-            nearness[s] = wp.dot(streams[cursors[s]].plane, ray)
-            touching += 1
-    if touching < 2:
-        return
-    raster = settings[0]
-    pixel = blend_listed(empty_pixel(), raster, instances, splats, tile_splats, tile_starts[tile], first, seen)
-    if pixel.transmittance <= 0.0:
-        return
-    while touching > 0 and pixel.transmittance > 0.0:
-        s = int(0)
-        for other in range(1, STREAM_COUNT):
-            if nearness[other] > nearness[s]:
-                s = other
-        splat = splats[streams[cursors[s]].index]
-        alpha = alpha_from_log(evaluate(splat, seen).log_alpha)
-        pixel = blend_own(pixel, splat, alpha, raster, instances)
-        cursors[s] = next_touching(splats, streams, cursors[s] + 1, ends[s], seen)
-        nearness[s] = -wp.inf
-        if cursors[s] < ends[s]:
-            nearness[s] = wp.dot(streams[cursors[s]].plane, ray)
-        else:
-            touching -= 1
-    behind = tile_starts[tile] + tiles[tile].end
-    pixel = blend_listed(pixel, raster, instances, splats, tile_splats, behind, tile_starts[tile + 1], seen)
-    store_result(view, raster, instances, splats, meshes, pixel, at[0], at[1], for_rays, pixels_out, hits_out)
+ELLIPSOIDS = wp.get_module(f"{__name__}.ellipsoids")
+wp.set_module_options(OPTIONS, ELLIPSOIDS)
+
+merge_ellipsoids = merge_kernel(ELLIPSOIDS, normal_on_ray)

@@ -4,6 +4,8 @@ The CPU's and CUDA's schedules are separate Warp modules, because modules are co
 the schedule that it runs. The equations are in docs/method/rasterisation.md.
 """
 
+from typing import Any
+
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
@@ -27,7 +29,7 @@ from lumisplat.device.splat.blending import (
     store_gaussian_hits,
     store_result,
 )
-from lumisplat.device.splat.compositor import TILE_OPTIONS, pixel_walk, tile_walk
+from lumisplat.device.splat.compositor import TILE_OPTIONS, PixelVisitor, pixel_walk, tile_walk
 from lumisplat.device.splat.ellipse import (
     ELLIPSE,
     EllipsePixel,
@@ -42,6 +44,7 @@ from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log, pro
 from lumisplat.device.splat.visitors import (
     ELLIPSE_COLOR,
     ELLIPSE_COLORS,
+    ELLIPSE_ELLIPSOIDS,
     ELLIPSE_SAMPLE,
     ELLIPSE_SAMPLES,
     EllipseColors,
@@ -51,7 +54,7 @@ from lumisplat.device.splat.visitors import (
     SplatInstances,
 )
 from lumisplat.device.structs.camera import CameraData, PixelData, SampleData
-from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
+from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, SplatEllipsoid, TileRect
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
@@ -271,40 +274,51 @@ def composite_blocks(
 PIXELS = wp.get_module(f"{__name__}.pixels")
 wp.set_module_options(OPTIONS, PIXELS)
 
-blend_pixel = pixel_walk(ELLIPSE, ELLIPSE_COLOR)
 sample_pixel = pixel_walk(ELLIPSE, ELLIPSE_SAMPLE)
 
 
-@wp.kernel(module=PIXELS)
-def composite_pixels(
-    start: int,
-    camera: wp.array[CameraData],
-    settings: wp.array[RasterData],
-    instances: wp.array[SplatInstanceData],
-    splats: wp.array[Splat],
-    tile_starts: wp.array[int],
-    tile_splats: wp.array[int],
-    meshes: MeshPixels,
-    for_rays: bool,
-    pixels_out: PixelData,
-    hits_out: GaussianHits,
-):
-    """Blends the splats of a pixel's tile into the pixel or, if ``for_rays``, into the hit of its ray.
+def pixel_kernel(module: wp.Module, visitor: PixelVisitor) -> Any:
+    """Builds the kernel that blends splats pixel by pixel, in ``module``, with normals as ``visitor`` chooses them."""
+    blend_pixel = pixel_walk(ELLIPSE, visitor)
 
-    One thread per pixel, with index tile * 256 + pixel of the tile.
-    """
-    i = start + wp.tid()
-    view = camera[0]
-    raster = settings[0]
-    at = tile_pixel(view, i)
-    if not is_in_window(view, at[0], at[1]):
-        return
-    pixel = empty_pixel()
-    seen = pixel_at(view, meshes, at[0], at[1])
-    arrays = SplatInstances()
-    arrays.instances = instances
-    blend_pixel(i // TILE_PIXELS, seen, raster, splats, tile_starts, tile_splats, pixel, arrays)
-    store_result(view, raster, instances, splats, meshes, pixel, at[0], at[1], for_rays, pixels_out, hits_out)
+    @wp.kernel(module=module)
+    def composite_pixels(
+        start: int,
+        camera: wp.array[CameraData],
+        settings: wp.array[RasterData],
+        instances: wp.array[SplatInstanceData],
+        splats: wp.array[Splat],
+        tile_starts: wp.array[int],
+        tile_splats: wp.array[int],
+        meshes: MeshPixels,
+        for_rays: bool,
+        pixels_out: PixelData,
+        hits_out: GaussianHits,
+        ellipsoids: wp.array[SplatEllipsoid],
+    ):
+        """Blends the splats of a pixel's tile into the pixel or, if ``for_rays``, into the hit of its ray.
+
+        One thread per pixel, with index tile * 256 + pixel of the tile.
+        """
+        i = start + wp.tid()
+        view = camera[0]
+        raster = settings[0]
+        at = tile_pixel(view, i)
+        if not is_in_window(view, at[0], at[1]):
+            return
+        pixel = empty_pixel()
+        seen = pixel_at(view, meshes, at[0], at[1])
+        arrays = SplatInstances()
+        arrays.instances = instances
+        arrays.ellipsoids = ellipsoids
+        arrays.direction = view.world_from_camera * pixel_ray(view, at[0], at[1])
+        blend_pixel(i // TILE_PIXELS, seen, raster, splats, tile_starts, tile_splats, pixel, arrays)
+        store_result(view, raster, instances, splats, meshes, pixel, at[0], at[1], for_rays, pixels_out, hits_out)
+
+    return composite_pixels
+
+
+composite_pixels = pixel_kernel(PIXELS, ELLIPSE_COLOR)
 
 
 @wp.kernel(module=PIXELS)
@@ -336,3 +350,11 @@ def sample_pixels(
     sample.transmittance = 1.0
     sample_pixel(i // TILE_PIXELS, seen, settings[0], splats, tile_starts, tile_splats, sample, NoArrays())
     store_gaussian_hits(view, splats, opaque_pixel(splats, sample.winner), at[0], at[1], hits_out)
+
+
+# One thread per pixel, on all devices: blends normals of ellipsoids.
+
+ELLIPSOIDS = wp.get_module(f"{__name__}.ellipsoids")
+wp.set_module_options(OPTIONS, ELLIPSOIDS)
+
+composite_ellipsoids = pixel_kernel(ELLIPSOIDS, ELLIPSE_ELLIPSOIDS)

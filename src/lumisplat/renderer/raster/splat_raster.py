@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -15,11 +15,13 @@ from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits
 from lumisplat.renderer.raster import (
+    ellipsoid_kernels,
     relit_kernels,
     set_order_kernels,
     splat_kernels,
 )
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
+from lumisplat.renderer.raster.ellipsoids import Ellipsoids
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
@@ -37,6 +39,8 @@ class ProjectedSplats:
     """Depth key of each Gaussian, by which splats are sorted."""
     rects: DeviceArray
     """Rectangle of tiles that each splat may touch."""
+    ellipsoids: DeviceArray
+    """``SplatEllipsoid`` of each Gaussian, whose normals pixels blend; empty: pixels blend normals of splats."""
 
     @property
     def count(self) -> int:
@@ -54,6 +58,8 @@ class SplatTiles:
     """Index in ``items`` of the first splat of each tile; the last element is the total number of entries."""
     items: DeviceArray
     """Indices in ``splats`` of the splats that each tile lists, tile after tile."""
+    ellipsoids: DeviceArray
+    """As in `ProjectedSplats`."""
 
 
 class SplatRaster:
@@ -68,6 +74,7 @@ class SplatRaster:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, binning: Binning) -> None:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
+        self._ellipsoids = Ellipsoids(launcher, buffers, config)
         self.settings = buffers.upload("raster.settings", RasterData, raster_table(config))
         """``RasterData`` array with one element: the settings for kernels."""
 
@@ -81,6 +88,10 @@ class SplatRaster:
         modules: list[KernelModule] = [by_pixel if self._launcher.is_parallel else by_tile]
         modules += [splat_kernels.PIXELS] if counts and not self._launcher.is_parallel else []
         modules += [set_order_kernels] if merges_sets else []
+        if self._ellipsoids.are_used:
+            modules += [ellipsoid_kernels]
+            modules += [splat_kernels.ELLIPSOIDS] if is_sorted else []
+            modules += [set_order_kernels.ELLIPSOIDS] if merges_sets else []
         return [*modules, splat_kernels, *self._binning.modules()]
 
     def project(self, scene: DeviceScene) -> ProjectedSplats:
@@ -90,6 +101,7 @@ class SplatRaster:
             self._buffers.get("raster.splats", Splat, count),
             keys=self._buffers.get("raster.keys", wp.uint32, count),
             rects=self._buffers.get("raster.rects", TileRect, count),
+            ellipsoids=self._ellipsoids.none,
         )
         for asset in scene.assets:
             self._launcher.run_banded(
@@ -98,13 +110,13 @@ class SplatRaster:
                 *(scene.splat_camera, self.settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
             )
-        return splats
+        return replace(splats, ellipsoids=self._ellipsoids.find(scene, splats.rects))
 
     def bin(self, scene: DeviceScene, order: DepthOrder, splats: ProjectedSplats) -> SplatTiles:
         """Lists the splats of each tile in the order of ``order``."""
         tiles_x, tiles_y = scene.tile_grid
         lists = self._binning.bin("raster", order, splats.rects, tiles_x, tiles_x * tiles_y)
-        return SplatTiles(splats.data, lists.starts, lists.items)
+        return SplatTiles(splats.data, lists.starts, lists.items, splats.ellipsoids)
 
     def draw(
         self,
@@ -121,7 +133,8 @@ class SplatRaster:
         mean.
         """
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, EXTRA_FIELDS)
-        self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
+        arguments = (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing)
+        self._composite(scene, arguments, tiles.ellipsoids)
         if finds_depth:
             self._set_depth(scene, splat_kernels.set_pixel_depth, meshes, pixels)
 
@@ -140,8 +153,8 @@ class SplatRaster:
         splats. If ``counts``, it runs in addition to the kernel with one thread per tile.
         """
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
-        self._composite(scene, (*arguments, hits))
-        if counts and not self._launcher.is_parallel:
+        self._composite(scene, (*arguments, hits), tiles.ellipsoids)
+        if counts and not self._launcher.is_parallel and not self._ellipsoids.are_used:
             counted = self._buffers.struct("raster.counted", GaussianHits, len(hits.hits), EXTRA_FIELDS)
             self._composite(scene, (*arguments, counted), by_pixel=True)
             hits.hits = counted.hits
@@ -177,7 +190,7 @@ class SplatRaster:
         prefix_sum(counts, starts, inclusive=False)
         inputs = (scene.splat_instances, tiles.splats, *lists, starts)
         run(relit_kernels.list_mixed, count, *inputs, items, splats)
-        return SplatTiles(splats, starts, items)
+        return SplatTiles(splats, starts, items, self._ellipsoids.none)
 
     def find_means(
         self, scene: DeviceScene, splats: ProjectedSplats, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits
@@ -214,6 +227,7 @@ class SplatRaster:
             self._run_pixels(scene, splat_kernels.sample_pixels, inputs)
         else:
             self._run_tiles(scene, splat_kernels.sample_tiles, inputs)
+        self._ellipsoids.set_normals(scene, tiles.ellipsoids, hits)
         self._set_depth(scene, splat_kernels.set_hit_depth, meshes, hits)
 
     def _set_depth(self, scene: DeviceScene, kernel: Kernel, meshes: MeshPixels, surfaces: object) -> None:
@@ -221,24 +235,36 @@ class SplatRaster:
         inputs = (scene.splat_camera, scene.splat_instances, scene.gaussians, meshes, surfaces)
         self._launcher.run_banded(kernel, math.prod(scene.image_size), *inputs)
 
-    def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
+    def _composite(
+        self,
+        scene: DeviceScene,
+        arguments: tuple[object, ...],
+        ellipsoids: DeviceArray | None = None,
+        *,
+        by_pixel: bool = False,
+    ) -> None:
         """Blends splats by the kernel per pixel (``by_pixel``), per thread block (CUDA) or per tile.
 
-        All kernels give the same result. Pixels where several sets overlap are then blended again.
+        All kernels give the same result. Pixels where several sets overlap are then blended again. ``ellipsoids``: as
+        in `SplatTiles`; only the kernel per pixel blends their normals. None: normals of splats are blended.
         """
+        ellipsoids = self._ellipsoids.none if ellipsoids is None else ellipsoids
         inputs = (scene.splat_camera, self.settings, scene.splat_instances, *arguments)
-        if by_pixel:
-            self._run_pixels(scene, splat_kernels.composite_pixels, inputs)
+        if len(ellipsoids):
+            self._run_pixels(scene, splat_kernels.composite_ellipsoids, (*inputs, ellipsoids))
+        elif by_pixel:
+            self._run_pixels(scene, splat_kernels.composite_pixels, (*inputs, ellipsoids))
         elif self._launcher.is_parallel:
             self._launcher.run_blocks(splat_kernels.composite_blocks, math.prod(scene.tile_grid), *inputs)
         else:
             self._run_tiles(scene, splat_kernels.composite_tiles, inputs)
         if scene.plan.merges_sets:
-            self._merge_sets(scene, *arguments)
+            self._merge_sets(scene, arguments, ellipsoids)
 
-    def _merge_sets(self, scene: DeviceScene, splats: object, starts: object, items: object, *outputs: object) -> None:
+    def _merge_sets(self, scene: DeviceScene, arguments: tuple[object, ...], ellipsoids: DeviceArray) -> None:
         """Blends pixels where captures overlap again, in the order of the captures' surfaces."""
         tiles, get = math.prod(scene.tile_grid), self._buffers.get
+        splats, starts, items, *outputs = arguments
         split = get("raster.tile_streams", set_order_kernels.TileStreams, tiles)
         streams = get("raster.streams", set_order_kernels.StreamSplat, cast(DeviceArray, items).shape[0])
         view, instances = (scene.splat_camera, self.settings), scene.splat_instances
@@ -246,9 +272,10 @@ class SplatRaster:
         bands = TILE_BANDS_PER_THREAD * self._launcher.threads
         inputs = (*view, instances, scene.gaussians, *lists, split, streams)
         self._launcher.run_banded(set_order_kernels.split_tiles, tiles, *inputs, bands=bands)
-        inputs = (*view, instances, *lists, split, streams, *outputs)
+        inputs = (*view, instances, *lists, split, streams, *outputs, ellipsoids)
         pixels = tiles * TILE_PX * TILE_PX
-        self._launcher.run_banded(set_order_kernels.merge_sets, pixels, *inputs, bands=bands)
+        kernel = set_order_kernels.merge_ellipsoids if len(ellipsoids) else set_order_kernels.merge_sets
+        self._launcher.run_banded(kernel, pixels, *inputs, bands=bands)
 
     def _run_pixels(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
         """Runs a kernel with one thread per pixel, tile after tile."""

@@ -6,7 +6,7 @@ The method is 3DGUT (Wu et al. 2025).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -15,8 +15,9 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
-from lumisplat.renderer.raster import ray_splat_kernels as kernels
+from lumisplat.renderer.raster import ellipsoid_kernels, ray_splat_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning
+from lumisplat.renderer.raster.ellipsoids import Ellipsoids
 from lumisplat.renderer.raster.splat_raster import ProjectedSplats, SplatTiles
 from lumisplat.renderer.scene.camera_table import image_field
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -57,6 +58,7 @@ class UnscentedRaster:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, binning: Binning) -> None:
         self._launcher, self._buffers, self._config, self._binning = launcher, buffers, config, binning
         self._meshes = MeshTracer(launcher, buffers)
+        self._ellipsoids = Ellipsoids(launcher, buffers, config)
         self._table = settings_table(config)
         self._settings = buffers.get("unscented.settings", RayRasterData, 1)
         self.drawn: DrawnRaySplats | None = None
@@ -64,9 +66,11 @@ class UnscentedRaster:
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """Returns the modules of the kernels that this class launches in a frame."""
-        blended = kernels.PIXELS if self._is_by_pixel(mixes_sets=plan.mixes_sets) else kernels.TILES
+        blended = [kernels.PIXELS if self._is_by_pixel(mixes_sets=plan.mixes_sets) else kernels.TILES]
+        if self._ellipsoids.are_used:
+            blended = [kernels.ELLIPSOIDS, ellipsoid_kernels]
         meshes = self._meshes.modules(has_meshes=plan.has_meshes)
-        return [kernels, blended, *self._binning.modules(), *meshes]
+        return [kernels, *blended, *self._binning.modules(), *meshes]
 
     def begin_frame(self, camera: Camera) -> None:
         """Uploads the settings again, because some depend on the frame's camera."""
@@ -94,7 +98,7 @@ class UnscentedRaster:
         with stage("bin"):
             tiles_x, tiles_y = scene.tile_grid
             lists = self._binning.bin("raster", order, splats.rects, tiles_x, tiles_x * tiles_y)
-            tiles = SplatTiles(splats.data, lists.starts, lists.items)
+            tiles = SplatTiles(splats.data, lists.starts, lists.items, splats.ellipsoids)
         with stage("composite"):
             hits = self._composite(scene, tiles, centers or rays, meshes.t)
         self.drawn = DrawnRaySplats(splats, tiles, centers or rays, meshes.t, hits, self._settings)
@@ -103,9 +107,10 @@ class UnscentedRaster:
     def _is_by_pixel(self, *, mixes_sets: bool) -> bool:
         """Returns whether to composite with one thread per pixel instead of one per tile.
 
-        The kernel with one thread per tile cannot count hits or separate relit sets from other sets.
+        The kernel with one thread per tile cannot count hits, separate relit sets from other sets, or blend normals of
+        ellipsoids.
         """
-        return self._launcher.is_parallel or mixes_sets or "hits" in self._config.aovs
+        return self._launcher.is_parallel or mixes_sets or "hits" in self._config.aovs or self._ellipsoids.are_used
 
     def _project(self, scene: DeviceScene) -> ProjectedSplats:
         count = scene.gaussian_count
@@ -113,6 +118,7 @@ class UnscentedRaster:
             self._buffers.get("unscented.splats", RaySplat, count),
             keys=self._buffers.get("unscented.keys", wp.uint32, count),
             rects=self._buffers.get("unscented.rects", TileRect, count),
+            ellipsoids=self._ellipsoids.none,
         )
         for asset in scene.assets:
             self._launcher.run_banded(
@@ -121,7 +127,7 @@ class UnscentedRaster:
                 *(scene.splat_camera, self._settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
             )
-        return splats
+        return replace(splats, ellipsoids=self._ellipsoids.find(scene, splats.rects))
 
     def _composite(self, scene: DeviceScene, tiles: SplatTiles, rays: RayData, limits: wp.array[float]) -> GaussianHits:
         fields = MEAN_FIELDS if scene.plan.mixes_sets else EXTRA_FIELDS
@@ -130,8 +136,9 @@ class UnscentedRaster:
         before, after = (scene.splat_camera, self._settings), (*lists, rays, limits, hits)
         count, bands = math.prod(scene.tile_grid), TILE_BANDS_PER_THREAD * self._launcher.threads
         if self._is_by_pixel(mixes_sets=scene.plan.mixes_sets):
-            inputs = (*before, scene.splat_instances, *after)
-            kernel, count = kernels.composite_pixels, count * TILE_PX * TILE_PX
+            inputs = (*before, scene.splat_instances, *after, tiles.ellipsoids)
+            kernel = kernels.composite_ellipsoids if self._ellipsoids.are_used else kernels.composite_pixels
+            count *= TILE_PX * TILE_PX
         else:
             kernel, inputs = kernels.composite_tiles, (*before, *after)
         self._launcher.run_banded(kernel, count, *inputs, bands=bands)
