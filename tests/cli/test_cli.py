@@ -212,8 +212,8 @@ def test_render_logs_options_without_effect(work, monkeypatch, caplog):
     assert [line for line in caplog.messages if line.startswith("not used")] == [
         "not used: --samples, --set seed, --set jitter (used in lit frames, and by other pipelines than raster)",
         "not used: --set trace.strategy (used by the pipelines trace, hybrid, realtime)",
-        "not used: --set max_bounces, --set trace.hit_distance, --set trace.normal_method, --set trace.hits_per_pass, "
-        "--set trace.sh_degree, --set trace.transmittance_min (used by the pipelines trace, hybrid, path, realtime)",
+        "not used: --set max_bounces, --set trace.hits_per_pass, --set trace.sh_degree, --set trace.transmittance_min "
+        "(used by the pipelines trace, hybrid, path, realtime)",
         "not used: --set response.kernel_degree, --set response.min_response "
         "(used where rays are traced: with shadows, or by other pipelines than raster)",
         "not used: --set shadow_rays.hit_distance, --set shadow_rays.transmittance_min "

@@ -271,7 +271,7 @@ def test_render_refuses_two_scene_files(work):
 
 
 LIGHT_ONLY = ls.Scene(lights=[ls.LightPoint((0.0, 0.0, 0.0))])
-NAMES = ("seed", "max_bounces", "response.kernel_degree", "trace.normal_method", "jitter", "shadow_rays.offset")
+NAMES = ("seed", "max_bounces", "response.kernel_degree", "trace.dilation", "jitter", "shadow_rays.offset")
 GIVEN = {"samples": "--samples"} | {name: f"--set {name}" for name in (*NAMES, "raster.antialiasing")}
 LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
 
@@ -287,7 +287,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
                 "(used in lit frames: add a light, or switch lighting on)",
                 "not used: --samples, --set seed, --set jitter "
                 "(used in lit frames, and by other pipelines than raster)",
-                "not used: --set max_bounces, --set trace.normal_method "
+                "not used: --set max_bounces, --set trace.dilation "
                 "(used by the pipelines trace, hybrid, path, realtime)",
                 "not used: --set response.kernel_degree "
                 "(used where rays are traced: with shadows, or by other pipelines than raster)",
@@ -299,7 +299,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
             [
                 "not used: --exposure, --set shadow_rays.offset "
                 "(used in lit frames: add a light, or switch lighting on)",
-                "not used: --set max_bounces, --set trace.normal_method "
+                "not used: --set max_bounces, --set trace.dilation "
                 "(used by the pipelines trace, hybrid, path, realtime)",
                 "not used: --set response.kernel_degree "
                 "(used where rays are traced: with shadows, or by other pipelines than raster)",
@@ -309,7 +309,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
             {},
             LIGHT_ONLY,
             [
-                "not used: --set max_bounces, --set trace.normal_method "
+                "not used: --set max_bounces, --set trace.dilation "
                 "(used by the pipelines trace, hybrid, path, realtime)",
             ],
         ),

@@ -43,6 +43,8 @@ def test_each_unused_setting_is_listed_with_the_frames_that_would_use_it() -> No
     """The text for an unused setting names other pipelines, lit frames, or frames with shadows."""
     unused = ls.RenderConfig(pipeline=ls.Pipeline.RASTER, shadows=ls.Shadows.OFF).unused_settings(lit=True)
     assert unused["max_bounces"] == "Used by the pipelines trace, hybrid, path, realtime."
+    assert unused["trace.dilation"] == unused["max_bounces"]
+    assert not {"trace", "trace.hit_distance", "trace.normal_method"} & unused.keys(), "the rasteriser reads these two"
     assert unused["realtime"] == "Used by the pipeline realtime."
     assert unused["shadow_rays"] == "Used with shadows, hard or soft."
     assert "raster" not in unused and "tone_map" not in unused

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from enum import Enum
+
+from lumisplat.config.gaussians import TraceConfig
 
 
 class Visibility(Enum):
@@ -91,7 +94,11 @@ _RESOLVED = {
 
 READ_BY: dict[str, tuple[Pipeline, ...]] = {
     "raster": tuple(one for one in Pipeline if one.rasterises),
-    "trace": tuple(one for one in Pipeline if one.spawns_rays),
+    **{
+        f"trace.{field.name}": tuple(one for one in Pipeline if one.spawns_rays)
+        for field in fields(TraceConfig)
+        if field.name not in ("hit_distance", "normal_method")  # the rasteriser reads these two
+    },
     "trace.strategy": tuple(one for one in Pipeline if one.spawns_rays and not one.traces_paths),
     "path": tuple(one for one in Pipeline if one.traces_paths),
     "realtime": tuple(one for one in Pipeline if one.is_sequence),
