@@ -250,6 +250,35 @@ def test_deep_shadow_transmittance_is_1_at_the_light_and_constant_past_the_last_
     assert at == pytest.approx([0.5 * (1.0 + first), first, last, last, last], abs=1e-8)
 
 
+# --- Lights with an extent ---
+
+
+def test_soft_shadow_of_an_edge_is_the_fraction_of_the_disk_that_the_edge_hides():
+    """Behind an opaque half plane, the transmittance is the area of the disk beside it, by similar triangles."""
+    strips = [one_gaussian((-0.006 - 0.01 * i, 0.0, 3.0), (0.005, 50.0, 1e-3), 0.99) for i in range(25)]
+    points = np.array([[x, 0.0, 4.0] for x in (-0.12, -0.06, 0.0, 0.06, 0.12)])
+    lights = oracle.disk_points(0.4, np.array([0.0, 0.0, 1.0]), 64)
+    seen = oracle.soft_transmittance(oracle.absorbers(joined(*strips)), lights, points)
+    assert seen == pytest.approx(oracle.disk_beside(np.array([-0.9, -0.45, 0.0, 0.45, 0.9])), abs=0.03)
+
+
+@pytest.mark.parametrize("step", [0.5, 2.0])
+def test_rays_through_a_deep_shadow_map_converge_to_the_mean_over_points_of_the_light(step):
+    """Doubling the resolution reduces errors of rays to points of a disk in front of the casters to two thirds."""
+    rng = np.random.default_rng(1)
+    light = np.array([0.0, 0.0, -1.0])
+    field = oracle.absorbers(random_gaussians(5, 4, scale_range=(0.2, 0.4)))
+    points = rng.normal(0.0, 0.7, (100, 3)) + np.array([0.0, 0.0, 6.0])
+    disk, shifts = oracle.disk_points(0.5, np.array([0.0, 0.0, 1.0]), 16), rng.uniform(size=(16, 2))
+    exact = oracle.soft_transmittance(field, light + disk, points)
+    errors = []
+    for size in (16, 32, 64):
+        table = oracle.tabulate(field, light, AtlasLayout.OCTAHEDRAL, size, size, 10.0)
+        errors.append(np.abs(oracle.look_up_rays(table, points, disk, shifts, (2.0, 8.0), step) - exact).mean())
+    assert errors[1] < 0.7 * errors[0]
+    assert errors[2] < 0.7 * errors[1]
+
+
 # --- Footprints ---
 
 

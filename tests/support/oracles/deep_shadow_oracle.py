@@ -236,6 +236,80 @@ def wrapped(column: np.ndarray, row: np.ndarray, size: int) -> tuple[np.ndarray,
     return np.where(over, size - 1 - column, column), np.where(over, np.clip(row, 0, size - 1), row)
 
 
+# --- Lights with an extent (docs/method/deep_shadow_maps.md#lights-with-an-extent) ---
+
+
+def disk_points(radius: float, axis: np.ndarray, count: int = 256) -> np.ndarray:
+    """Returns points of a disk around the origin, spread evenly on a spiral, shape (count, 3)."""
+    axis = _unit(np.asarray(axis, float))
+    first = _unit(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]))
+    number = np.arange(count)
+    angle = number * math.pi * (3.0 - math.sqrt(5.0))
+    away = radius * np.sqrt((number + 0.5) / count)
+    return away[:, None] * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(axis, first))
+
+
+def disk_beside(at: np.ndarray) -> np.ndarray:
+    """Returns the fraction of a unit disk's area on the side of a line that is ``at`` (N,), -1..1, from its centre."""
+    at = np.clip(at, -1.0, 1.0)
+    return 0.5 + (at * np.sqrt(1.0 - at * at) + np.arcsin(at)) / math.pi
+
+
+def soft_transmittance(field: Absorbers, lights: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Returns the mean fraction of the light of L points ``lights`` (L, 3) at ``points`` (N, 3), shape (N,)."""
+    return np.mean([transmittance(field, light, points) for light in lights], axis=0)
+
+
+def look_up_rays(
+    table: Table, points: np.ndarray, lights: np.ndarray, shifts: np.ndarray, depths: tuple[float, float], step: float
+) -> np.ndarray:
+    """Returns the mean transmittance of rays from ``points`` (N, 3) to L points of a light, through its octahedral map.
+
+    Args:
+        table: The map of the light's centre.
+        points: Receivers.
+        lights: Points of the light, relative to its centre, shape (L, 3).
+        shifts: For each of them, the part of a texel by which the ray is shifted, 0..1, shape (L, 2).
+        depths: Distances from the light between which the casters are.
+        step: Texels that a ray crosses in each step.
+    """
+    size, bins = table.values.shape[1], table.values.shape[3]
+    depth_table = np.concatenate([np.zeros((size, size, 1)), -np.log(table.values[0])], axis=-1)  # Bin -1 is the first.
+    offset = np.asarray(points, float) - table.light
+    distance = np.linalg.norm(offset, axis=1)
+    start, end = np.maximum(distance / depths[1] - 1.0, 0.0), distance / depths[0] - 1.0
+    end = np.maximum(end, start)
+    total = np.zeros(len(offset))
+    for light, shift in zip(lights, shifts, strict=True):
+
+        def ray(at: np.ndarray, light: np.ndarray = light) -> np.ndarray:
+            return (offset + at[:, None] * light) / (1.0 + at)[:, None]
+
+        crossed = 0.5 * size * np.linalg.norm(_unit(ray(end)) - _unit(ray(start)), axis=1)
+        steps = np.maximum(np.ceil(crossed / step), 1.0)
+        depth = np.zeros(len(offset))
+        for k in range(int(steps.max())):
+            outer, middle, inner = (ray(start + np.minimum((k + i) / steps, 1.0) * (end - start)) for i in (0, 0.5, 1))
+            texel = np.floor((encode_octahedral(middle) + 1.0) * 0.5 * size - 0.5 + shift).astype(int)
+            x, y = wrapped(texel[:, 0], texel[:, 1], size)
+            far, near = np.linalg.norm(outer, axis=1), np.linalg.norm(inner, axis=1)
+            gain = _depth_at(depth_table[y, x], far / table.t_max * bins) - _depth_at(
+                depth_table[y, x], near / table.t_max * bins
+            )
+            ratio = np.linalg.norm(outer - inner, axis=1) / np.maximum(far - near, 1e-12)
+            depth += np.where((k < steps) & (far > near), gain * ratio, 0.0)
+        total += np.exp(-depth)
+    return total / len(lights)
+
+
+def _depth_at(columns: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Returns values of columns (N, K + 1), linear between bins, at N positions; the first bin is centred at -1/2."""
+    at = np.clip(at + 0.5, 0.0, columns.shape[1] - 1.0)
+    low = np.minimum(np.floor(at).astype(int), columns.shape[1] - 2)
+    rows = np.arange(len(columns))
+    return columns[rows, low] + (at - low) * (columns[rows, low + 1] - columns[rows, low])
+
+
 # --- Footprints (section 4.4 A) ---
 
 
