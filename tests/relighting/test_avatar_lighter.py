@@ -135,7 +135,7 @@ def test_shadow_of_a_lamp_that_moves_by_keyframes_falls_where_geometry_says() ->
 
 
 def test_maps_are_built_anew_for_lights_that_moved_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of three lights, one moves, one fades, and one stays; the static mesh's shadow follows the moving one, too."""
+    """One light moves, one fades, one stays, and one grows; the static mesh's shadow follows the moving one, too."""
     built: list[object] = []
     build = DeepShadowMap.build
     monkeypatch.setattr(
@@ -145,15 +145,16 @@ def test_maps_are_built_anew_for_lights_that_moved_and_no_others(monkeypatch: py
     )
     mesh = replace(icosphere(0.4), material=ls.MaterialPbr())
     moved, faded = replace(LIGHT, position=(1.0, 3.0, 0.0)), replace(LIGHT, position=(0.0, 3.0, 1.0), intensity=2.0)
-    first = ls.Scene([floor()], [ls.MeshInstance(mesh, position=(1.0, 1.0, 1.0))], [LIGHT, faded, LIGHT])
+    grown = replace(LIGHT, radius=0.5)
+    first = ls.Scene([floor()], [ls.MeshInstance(mesh, position=(1.0, 1.0, 1.0))], [LIGHT, faded, LIGHT, LIGHT])
     stage = lighter(first, None)
     stage.light([puppet()])
-    assert len(built) == 2 * 3  # the actor's and the mesh's
+    assert len(built) == 2 * 4  # the actor's and the mesh's
     built.clear()
-    second = replace(first, lights=[moved, replace(faded, intensity=4.0), LIGHT])
+    second = replace(first, lights=[moved, replace(faded, intensity=4.0), LIGHT, grown])
     stage.update(second)
     again = stage.light([puppet()]).splats[0].gaussians
-    assert built == 2 * [moved]
+    assert built == [moved, grown, moved, grown]
     np.testing.assert_array_equal(again.sh, lighter(second, None).light([puppet()]).splats[0].gaussians.sh)
     with pytest.raises(ls.SceneError, match="other captures or meshes than the lighter's"):
         stage.update(ls.Scene([floor()]))

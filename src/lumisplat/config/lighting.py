@@ -62,7 +62,8 @@ class DeepShadowConfig:
     layout: AtlasLayout = AtlasLayout.OCTAHEDRAL
     """Layout of the directions around a point light; a directional light has a planar map instead."""
     resolution: Annotated[int, Range(8, 8192, step=8)] = 2048
-    """Width and height of the square map, texels; the six faces of ``CUBEMAP`` have about as many texels together."""
+    """Width and height of the square map, texels; the six faces of ``CUBEMAP`` have about as many texels together.
+    Lights with an extent take 0.7 times as many across."""
     bins: Annotated[int, Range(1, 4096)] = 256
     """Number of distance bins, K, which are of equal size from 0 to ``max_distance``."""
     max_distance: Length | None = None
@@ -73,7 +74,8 @@ class DeepShadowConfig:
     strength: Annotated[float, Range(0.0, 100.0)] = 1.0
     """Factor kappa that multiplies the absorption of all casters; 0 casts no shadows."""
     region: bool = True
-    """Computes only the texels and bins that the receivers look up; otherwise the whole map."""
+    """Computes only the texels and bins that the receivers look up; otherwise the whole map. Lights with an extent take
+    those that casters cover."""
     region_radius: Length | None = None
     """Receivers farther than this from the casters' bounding box, along x, y or z, stay lit. A `DeepShadowMap` only
     fits its texels to the others, so such a receiver is still shadowed where it looks up their texels. None: no limit.
@@ -83,7 +85,8 @@ class DeepShadowConfig:
     sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO
     """Points of a Gaussian that receives shadow at which the map is read."""
     samples: Annotated[int, Range(1, 1024)] = 8
-    """Number of random points per Gaussian that receives shadow at which ``MONTE_CARLO`` reads the map."""
+    """Number of random points per Gaussian that receives shadow at which ``MONTE_CARLO`` reads the map. Lights with an
+    extent take four rays for each."""
     seed: Seed = 0
     """Seed of the points of ``MONTE_CARLO``."""
 

@@ -26,6 +26,7 @@ from lumisplat.scene.ops.colors import Subject, scale_light_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_lights
 from lumisplat.shadow_maps.casters_and_receivers import Content, MeshesAsGaussians
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
+from lumisplat.shadow_maps.light_extent import extent_of, extent_record
 
 PlacedActor = SplatInstance | MeshInstance
 """An actor in one frame: a splat or mesh instance that carries the frame's pose."""
@@ -347,11 +348,12 @@ class ActorShadows:
                 )
 
 
-def _source(light: Light) -> tuple[bool, object]:
-    """Returns what of a light its shadow map depends on: whether it has a direction, and the direction or position."""
+def _source(light: Light) -> tuple[bool, object, object]:
+    """Returns what of a light its shadow map depends on: whether it has a direction, direction or position, extent."""
+    extent = extent_record(extent_of(light))
     if isinstance(light, LightDirectional):
-        return True, light.direction
-    return False, getattr(light, "position", None)
+        return True, light.direction, extent
+    return False, getattr(light, "position", None), extent
 
 
 def _is_inside(point: npt.NDArray[np.float64], casters: PlacedGaussians) -> bool:

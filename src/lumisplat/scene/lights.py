@@ -162,8 +162,8 @@ class LightPoint:
     range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
     """Distance beyond which the light has no effect."""
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
-    """Radius of the light for soft shadows; 0: hard shadows. Only `Pipeline.PATH`, `Pipeline.REALTIME` and the setting
-    ``shadows="soft"`` use it."""
+    """Radius of the light for soft shadows; 0: hard shadows. `Pipeline.PATH`, `Pipeline.REALTIME`, the setting
+    ``shadows="soft"`` and deep shadow maps use it."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -211,8 +211,8 @@ class LightSpot:
     outer_angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = math.pi / 4.0
     """Angle from the axis at which the light has faded to zero."""
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
-    """Radius of the light for soft shadows; 0: hard shadows. Only `Pipeline.PATH`, `Pipeline.REALTIME` and the setting
-    ``shadows="soft"`` use it."""
+    """Radius of the light for soft shadows; 0: hard shadows. `Pipeline.PATH`, `Pipeline.REALTIME`, the setting
+    ``shadows="soft"`` and deep shadow maps use it."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)
@@ -264,8 +264,8 @@ class LightDirectional:
     intensity: Annotated[float, Range(0.0, unit="lux")] = 1.0
     """Illuminance, lux, of a surface that faces the light."""
     angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
-    """Angular radius (half the visible angle) of the light for soft shadows; the sun's is 0.27 degrees (0.0047). Only
-    `Pipeline.PATH`, `Pipeline.REALTIME` and the setting ``shadows="soft"`` use it."""
+    """Angular radius (half the visible angle) of the light for soft shadows; the sun's is 0.27 degrees (0.0047).
+    `Pipeline.PATH`, `Pipeline.REALTIME`, the setting ``shadows="soft"`` and deep shadow maps use it."""
     enabled: bool = field(default=True, kw_only=True)
     """Whether the light shines; False turns it off."""
     casts_shadow: bool = field(default=True, kw_only=True)

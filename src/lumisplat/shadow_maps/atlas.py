@@ -232,17 +232,41 @@ def all_tiles(atlas: Atlas) -> IntArray:
     return np.arange(texel_count(atlas) // TILE_TEXELS, dtype=np.int32)
 
 
-def region_of_casters(atlas: Atlas, casters: PlacedGaussians, tiles: IntArray) -> Region:
-    """Returns the region that casters can shadow: texels of ``tiles``, bins from the nearest to the farthest caster."""
+def region_of_casters(
+    atlas: Atlas,
+    casters: PlacedGaussians,
+    tiles: IntArray,
+    *,
+    items: IntArray,
+    counts: IntArray,
+    deviations: float,
+) -> Region:
+    """Returns the region that casters can shadow: texels of tiles, bins from a tile's nearest to its farthest caster.
+
+    Args:
+        atlas: The light's atlas.
+        casters: C Gaussians.
+        tiles: Indices of T tiles, ascending.
+        items: Indices of the casters that may shadow each tile, tile by tile.
+        counts: Number of casters of each tile, shape (T,).
+        deviations: Distance from its mean, in its largest standard deviations, to which a caster reaches.
+    """
+    offsets = casters.means - np.array(atlas.origin)
     if atlas.layout == PARALLEL:
-        first, last = 0, atlas.bins - 1
+        distances = offsets @ np.array(atlas.axes).reshape(3, 3)[:, 2]
     else:
-        distances = np.linalg.norm(casters.means - np.array(atlas.origin), axis=1)
-        reach = SHADOW_BLOCKING_REACH * casters.scales.max(axis=1)
-        first, last = (int(t / atlas.bin_length - 0.5) for t in ((distances - reach).min(), (distances + reach).max()))
-        first, last = max(first, 0), min(last + 1, atlas.bins - 1)
-    texels = (tiles[:, None] * TILE_TEXELS + np.arange(TILE_TEXELS)).ravel().astype(np.int32)
-    return Region(texels, np.full(len(texels), first, np.int32), np.full(len(texels), last - first + 1, np.int32))
+        distances = np.linalg.norm(offsets, axis=1)
+    reach = deviations * casters.scales.max(axis=1)
+    ends = [np.clip(t / atlas.bin_length - 0.5, -1.0, atlas.bins) for t in (distances - reach, distances + reach)]
+    filled, starts = counts > 0, np.cumsum(counts, dtype=np.int64) - counts
+    texels = (tiles[filled, None] * TILE_TEXELS + np.arange(TILE_TEXELS)).ravel().astype(np.int32)
+    if not len(texels):
+        return Region(texels, texels, texels)
+    nearest = np.asarray(np.minimum.reduceat(ends[0].astype(np.int32)[items], starts[filled]), np.int32)
+    farthest = np.asarray(np.maximum.reduceat(ends[1].astype(np.int32)[items], starts[filled]), np.int32)
+    first = np.repeat(np.clip(nearest, 0, atlas.bins - 1), TILE_TEXELS)
+    last = np.repeat(np.clip(farthest + 1, 0, atlas.bins - 1), TILE_TEXELS)
+    return Region(texels, first, last - first + 1)
 
 
 def region_of_receivers(

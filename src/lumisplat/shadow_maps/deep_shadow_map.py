@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +14,10 @@ import warp as wp
 
 from lumisplat.config import Absorption, DeepShadowConfig
 from lumisplat.config.checks import check_kind
+from lumisplat.constants import SHADOW_FOOTPRINT, SHADOW_TILE
 from lumisplat.device.shadow_map.atlas import Atlas
 from lumisplat.device.shadow_map.culling import Footprint
+from lumisplat.device.shadow_map.light_extent import LightExtent
 from lumisplat.device.shadow_map.lookup import ShadowBound
 from lumisplat.device.shadow_map.optical_depth import AVERAGE, MASS, SIMPLE, Casters, Column, Occluder, Table
 from lumisplat.errors import SceneError
@@ -27,6 +30,7 @@ from lumisplat.scene.local_frame import LocalFrame, PlacedGaussians, distance_fr
 from lumisplat.scene.scene import Scene
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 from lumisplat.shadow_maps.atlas import (
+    SHADOW_BLOCKING_REACH,
     Region,
     Source,
     all_tiles,
@@ -46,10 +50,18 @@ from lumisplat.shadow_maps.casters_and_receivers import (
     placed_receivers,
     upload_receivers,
 )
-from lumisplat.shadow_maps.culling import BANDS_PER_THREAD, OneList, TileLists
+from lumisplat.shadow_maps.culling import BANDS_PER_THREAD, CulledCasters, OneList, TileLists
+from lumisplat.shadow_maps.light_extent import bound_depths, extent_of, has_extent, widen_bound
 from lumisplat.shadow_maps.map_files import StoredMap, read_map, write_map
 
 _log = logging.getLogger("lumisplat")
+
+SOFT_RESOLUTION = 0.7
+"""Texels across the map of a light with an extent for each one of ``DeepShadowConfig.resolution``: half as many texels
+in all. All that casters cover is tabulated, and penumbrae hide texels."""
+
+SHADOW_RAYS_PER_SAMPLE = 4
+"""Number of rays from a receiver to points of a light with an extent, for each of ``DeepShadowConfig.samples``."""
 
 _MAPPING = {
     Absorption.SIMPLE: SIMPLE,
@@ -85,7 +97,8 @@ class _Layout:
     list_of_texel: DeviceArray
     """For each texel in ``texels``, the index of the list of casters that may shadow it."""
     values: DeviceArray
-    """Transmittance of all tabulated bins, texel by texel; ``table`` refers to this array."""
+    """Transmittance of all tabulated bins, texel by texel; for a light with an extent, optical depth. ``table`` refers
+    to this array."""
     table: Table
 
 
@@ -99,22 +112,27 @@ class DeepShadowMap:
 
     Transmittance is tabulated at the centres of texels and bins and interpolated. With ``receivers``, only the texels
     and bins that the receivers sample are tabulated, and the transmittance is 1 elsewhere.
+
+    Lights with an extent cast penumbrae: their maps tabulate what the casters cover, and lookups follow rays to points
+    of the light through it.
     """
 
-    def __init__(self, config: DeepShadowConfig, source: Source, launcher: Launcher) -> None:
+    def __init__(self, config: DeepShadowConfig, source: Source, extent: LightExtent, launcher: Launcher) -> None:
         self.config = config
         """Settings of the map."""
-        self._source, self._launcher = source, launcher
+        self._source, self._extent, self._launcher = source, extent, launcher
         self._frame = LocalFrame(np.zeros(3))
         """Origin and unit to which the map is relative, chosen around the casters of the first build."""
         self._buffers = Buffers(launcher.device)
         self._meshes = MeshesAsGaussians()
         self._atlas = Atlas()
+        self._follows_casters = True
+        """Whether each build fits the atlas to its casters; False: it was fitted to receivers."""
         self._fixed_region: Region | None = None
         """Texels and depth bins that all builds tabulate, chosen for receivers; None: each build tabulates what its
         casters can shadow."""
         self._fixed_tiles: TileLists | None = None
-        """Culls casters for the tiles of ``_fixed_region``; created by the first build that needs it."""
+        """Culls casters for an atlas that was fitted to receivers; created by the first build that needs it."""
         self._layout: _Layout | None = None
         """Texels and depth bins of the last build on the device; None before the first build."""
         self._bound = ShadowBound()
@@ -136,8 +154,8 @@ class DeepShadowMap:
 
         Args:
             casters: Gaussians, meshes (which are converted to Gaussians), instances, a scene, or several of these.
-            light_position: A light, or the position of a point light, world space, shape (3,). Lights with an extent
-                are treated as points at their centre. The rays of a `LightDirectional` are parallel.
+            light_position: A light, or the position of a point light, world space, shape (3,). Lights with a radius,
+                an angle or an area cast penumbrae. The rays of a `LightDirectional` are parallel.
             receivers: Objects or points whose shadows will be looked up: the types allowed for ``casters``, or points
                 of shape (N, 3) for N points. None: any point behind the casters.
             config: Settings; None: the defaults.
@@ -154,7 +172,7 @@ class DeepShadowMap:
         source = source_of(light_position)
         launcher = Launcher(device)
         launcher.load([kernels], progress)
-        shadow = cls(config, source, launcher)
+        shadow = cls(config, source, extent_of(light_position), launcher)
         shadow._frame, _ = rendered_frame(Scene(shadow._meshes.instances("casters", casters)))
         if not isinstance(source, LightDirectional):
             shadow._source = shadow._frame.points(source)
@@ -227,10 +245,8 @@ class DeepShadowMap:
         """
         assert self._layout is not None
         region, values = self._layout.region, self._layout.values.numpy()
-        follows_casters = self._fixed_region is None
-        write_map(
-            path, StoredMap(self.config, self._source, self._frame.origin, self._atlas, region, values, follows_casters)
-        )
+        light = self._source, self._extent, self._frame.origin
+        write_map(path, StoredMap(self.config, *light, self._atlas, region, values, self._follows_casters))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, device: str = "auto") -> DeepShadowMap:
@@ -248,9 +264,11 @@ class DeepShadowMap:
         stored = read_map(path)
         launcher = Launcher(device)
         launcher.load([kernels])
-        shadow = cls(stored.config, stored.source, launcher)
+        shadow = cls(stored.config, stored.source, stored.extent, launcher)
         shadow._atlas, shadow._frame = stored.atlas, LocalFrame(stored.about)
-        shadow._fixed_region = None if stored.follows_casters else stored.region
+        shadow._follows_casters = stored.follows_casters
+        if not stored.follows_casters and not has_extent(stored.extent):
+            shadow._fixed_region = stored.region
         shadow._layout_for(stored.region, shadow._culling()).values.assign(stored.values)
         shadow._bound = shadow_bound(stored.atlas, None)  # the file does not hold the casters
         return shadow
@@ -262,7 +280,10 @@ class DeepShadowMap:
         return placed
 
     def _fix_region(self, receivers: PlacedGaussians, casters: PlacedGaussians) -> None:
-        """Fits the atlas to receivers, and lets all builds tabulate only what lookups of these receivers read."""
+        """Fits the atlas to receivers, and lets all builds tabulate only what lookups of these receivers read.
+
+        Rays to a light with an extent may read all that casters cover, which a plane of parallel light must cover, too.
+        """
         rows = np.arange(len(receivers.means), dtype=np.int32)
         if self.config.region_radius is not None:
             rows = rows[distance_from_body(receivers.means, casters) <= self.config.region_radius]
@@ -272,7 +293,12 @@ class DeepShadowMap:
                 "pass receivers, or increase DeepShadowConfig.region_radius"
             )
         near = PlacedGaussians(*(column[rows] for column in receivers))
-        self._atlas = atlas_of(self._source, near, self.config)
+        self._follows_casters = False
+        if has_extent(self._extent) and isinstance(self._source, LightDirectional):
+            near = PlacedGaussians(*(np.concatenate(columns) for columns in zip(near, casters, strict=True)))
+        self._fit_atlas(near)
+        if has_extent(self._extent):
+            return
         if not self.config.region:
             self._fixed_region = whole_region(self._atlas)
             return
@@ -284,11 +310,19 @@ class DeepShadowMap:
             )
             self._fixed_region = region_of_receivers(self._launcher, self._atlas, uploaded, rows, sampling)
 
+    def _fit_atlas(self, around: PlacedGaussians) -> None:
+        """Fits the atlas to Gaussians."""
+        config = self.config
+        if has_extent(self._extent):
+            across = math.ceil(SOFT_RESOLUTION * config.resolution / SHADOW_TILE) * SHADOW_TILE
+            config = replace(config, resolution=across)
+        self._atlas = atlas_of(self._source, around, config)
+
     def _tabulate(self, casters: PlacedGaussians) -> None:
-        """Tabulates casters. Without a fixed region, atlas and region are first fitted to the casters."""
+        """Tabulates casters. Atlas and region are first fitted to the casters unless they are fixed for receivers."""
         launcher = self._launcher
-        if self._fixed_region is None:
-            self._atlas = atlas_of(self._source, casters, self.config)
+        if self._follows_casters:
+            self._fit_atlas(casters)
         with launcher.stage("casters"):
             occluders, footprints = self._occluders(casters)
             self._bound = shadow_bound(self._atlas, footprints.numpy() if self.config.culling else None)
@@ -298,13 +332,14 @@ class DeepShadowMap:
         with launcher.stage("tabulate"):
             region = self._fixed_region
             if region is None:
-                tiles = culling.tiles[culled.counts > 0] if isinstance(culling, TileLists) else None
-                region = whole_region(self._atlas) if tiles is None else region_of_casters(self._atlas, casters, tiles)
+                region = self._region(casters, culling, culled)
             layout = self._layout_for(region, culling)
+            if has_extent(self._extent):
+                widen_bound(self._bound, self._atlas, self._extent)
             launcher.run_banded(
                 kernels.tabulate,
-                *(len(region.texels), self._atlas, self.config.culling, layout.texels, layout.list_of_texel),
-                *(culled.lists, occluders, layout.table),
+                *(len(region.texels), self._atlas, self.config.culling, has_extent(self._extent)),
+                *(layout.texels, layout.list_of_texel, culled.lists, occluders, layout.table),
                 bands=BANDS_PER_THREAD * launcher.threads,
             )
             launcher.synchronize()
@@ -334,11 +369,22 @@ class DeepShadowMap:
         """Returns the object that lists casters by tile, or one that makes a single list if ``culling`` is disabled."""
         if not self.config.culling:
             return OneList(self._buffers)
-        if self._fixed_region is None:
+        if self._follows_casters:
             return TileLists(self._launcher, self._buffers, self._atlas, all_tiles(self._atlas))
         if self._fixed_tiles is None:
-            self._fixed_tiles = TileLists(self._launcher, self._buffers, self._atlas, self._fixed_region.tiles)
+            tiles = all_tiles(self._atlas) if self._fixed_region is None else self._fixed_region.tiles
+            self._fixed_tiles = TileLists(self._launcher, self._buffers, self._atlas, tiles)
         return self._fixed_tiles
+
+    def _region(self, casters: PlacedGaussians, culling: TileLists | OneList, culled: CulledCasters) -> Region:
+        """Returns the region that the casters of a build can shadow; without culling, all of the atlas."""
+        if isinstance(culling, OneList):
+            return whole_region(self._atlas)
+        items = np.asarray(culled.lists.items.numpy(), np.int32)[: int(culled.counts.sum(dtype=np.int64))]
+        deviations = SHADOW_FOOTPRINT if has_extent(self._extent) else SHADOW_BLOCKING_REACH
+        return region_of_casters(
+            self._atlas, casters, culling.tiles, items=items, counts=culled.counts, deviations=deviations
+        )
 
     def _layout_for(self, region: Region, culling: TileLists | OneList) -> _Layout:
         """Uploads the layout of a region's texels and depth bins, unless the last build used the same layout."""
@@ -352,6 +398,7 @@ class DeepShadowMap:
             texels = self._buffers.upload("texels", wp.int32, region.texels)
             lists = self._buffers.upload("list_of_texel", wp.int32, culling.list_numbers(region.texels))
             self._layout = _Layout(region, texels, lists, values, table)
+            bound_depths(self._extent, self._atlas, region)
         return self._layout
 
     def _sample(self, placed: PlacedGaussians) -> FloatArray:
@@ -359,9 +406,12 @@ class DeepShadowMap:
         assert self._layout is not None
         receivers, sampling = upload_receivers(self._buffers, placed), footprint_sampling(self.config, placed)
         transmittance = self._buffers.get("transmittance", wp.float32, len(placed.means))
-        self._launcher.run_banded(
-            kernels.average_transmittance,
-            *(len(placed.means), self._atlas, self._bound, self._layout.table, receivers, sampling, transmittance),
-            bands=BANDS_PER_THREAD * self._launcher.threads,
-        )
+        inputs = len(placed.means), self._atlas, self._bound, self._layout.table, receivers, sampling
+        bands = BANDS_PER_THREAD * self._launcher.threads
+        if has_extent(self._extent):
+            rays = sampling.count * math.ceil(SHADOW_RAYS_PER_SAMPLE * self.config.samples / sampling.count)
+            soft = kernels.average_soft_transmittance
+            self._launcher.run_banded(soft, *inputs, self._extent, rays, transmittance, bands=bands)
+        else:
+            self._launcher.run_banded(kernels.average_transmittance, *inputs, transmittance, bands=bands)
         return transmittance.numpy().copy()  # on the CPU, numpy() is a view of the buffer

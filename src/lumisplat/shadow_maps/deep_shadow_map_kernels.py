@@ -14,7 +14,9 @@ from lumisplat.device.shadow_map.culling import (
     may_intersect,
     part_of_list,
 )
+from lumisplat.device.shadow_map.light_extent import LightExtent, loss_along
 from lumisplat.device.shadow_map.lookup import (
+    RANDOM,
     FootprintSampling,
     Receivers,
     ShadowBound,
@@ -35,6 +37,11 @@ from lumisplat.device.shadow_map.optical_depth import (
     may_block,
     occluder_of,
 )
+
+SHADOW_CLEAR = 1e-4
+"""Mean loss, or mean transmittance, of its first rays below which a receiver counts as wholly lit, or in the umbra."""
+
+CLEAR = wp.constant(wp.float32(SHADOW_CLEAR))
 
 # Functions that are not inlined clear all their locals first, which dominates the innermost loops.
 wp.set_module_options(
@@ -136,6 +143,7 @@ def tabulate(
     start: int,
     atlas: Atlas,
     culling: bool,
+    as_depths: bool,
     texels: wp.array[int],
     list_of_texel: wp.array[int],
     lists: CasterLists,
@@ -144,8 +152,8 @@ def tabulate(
 ):
     """Tabulates the transmittance of a texel's column of depth bins. One thread per element of ``texels``.
 
-    The table first holds the optical depth that each bin adds to the previous bin's, then exp(-sum) of the optical
-    depths up to each bin. Source: docs/method/deep_shadow_maps.md#optical-depth.
+    The table first holds the optical depth that each bin adds to the previous bin's, then their sum up to each bin if
+    ``as_depths``, else exp(-sum). Source: docs/method/deep_shadow_maps.md#optical-depth.
     """
     i = start + wp.tid()
     column = table.columns[column_number(table, texels[i])]
@@ -163,7 +171,10 @@ def tabulate(
     depth = float(0.0)
     for k in range(column.count):
         depth += table.values[column.offset + k]
-        table.values[column.offset + k] = wp.exp(-wp.max(depth, 0.0))
+        if as_depths:
+            table.values[column.offset + k] = wp.max(depth, 0.0)
+        else:
+            table.values[column.offset + k] = wp.exp(-wp.max(depth, 0.0))
 
 
 @wp.kernel
@@ -212,5 +223,42 @@ def average_transmittance(
     for sample in range(sampling.count):
         weight = sample_weight(sampling, sample)
         loss += weight * loss_at(atlas, table, sample_point(receivers, sampling, i, sample))
+        weights += weight
+    transmittance_out[i] = wp.max(1.0 - loss / weights, 0.0)
+
+
+@wp.kernel
+def average_soft_transmittance(
+    start: int,
+    atlas: Atlas,
+    bound: ShadowBound,
+    table: Table,
+    receivers: Receivers,
+    sampling: FootprintSampling,
+    extent: LightExtent,
+    rays: int,
+    transmittance_out: wp.array[float],
+):
+    """Computes the mean transmittance over ``rays`` rays from a receiver's footprint to points of the light.
+
+    Where the first quarter of the rays, at least ``sampling.count``, are all lit or all blocked, the others are
+    omitted. One thread per receiver.
+    """
+    i = start + wp.tid()
+    transmittance_out[i] = 1.0
+    if not may_be_shadowed(atlas, bound, receivers, i):
+        return
+    loss = float(0.0)
+    weights = float(0.0)
+    first = wp.max(rays // 4, sampling.count)
+    for ray in range(rays):
+        if ray == first and (loss <= CLEAR * weights or loss >= (1.0 - CLEAR) * weights):
+            break
+        sample = ray
+        if sampling.pattern != RANDOM:
+            sample = ray % sampling.count
+        weight = sample_weight(sampling, sample)
+        point = sample_point(receivers, sampling, i, sample)
+        loss += weight * loss_along(atlas, table, extent, point, i, ray, sampling.seed)
         weights += weight
     transmittance_out[i] = wp.max(1.0 - loss / weights, 0.0)

@@ -15,14 +15,18 @@ import warp as wp
 from lumisplat.config import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 from lumisplat.constants import SHADOW_TILE
 from lumisplat.device.shadow_map.atlas import Atlas
+from lumisplat.device.shadow_map.light_extent import LightExtent
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.shadow_maps.atlas import Region, Source, texel_count
+from lumisplat.shadow_maps.light_extent import extent_from_record, extent_record, has_extent
 
-_VERSION = 1
+_VERSION = 2
+_VERSIONS = (1, 2)
+"""Versions that can be read; files of version 1 are maps of lights without an extent."""
 _ENUMS: dict[str, type[Enum]] = {"layout": AtlasLayout, "absorption": Absorption, "sampling": ReceiverSampling}
 _SCALARS = ("layout", "size", "texel_length", "bins", "bin_length")
 """Names of the fields of Atlas that are numbers."""
@@ -40,15 +44,16 @@ class StoredMap:
     config: DeepShadowConfig
     source: Source
     """Position of the light relative to ``about``, or the directional light."""
+    extent: LightExtent
+    """Shape of the light."""
     about: Doubles
     """World position to which the map's coordinates are relative, shape (3,)."""
     atlas: Atlas
     region: Region
     values: FloatArray
-    """Transmittance of each tabulated depth bin, 0..1, texel by texel."""
+    """Transmittance of each tabulated depth bin, 0..1, texel by texel; of a light with an extent, the optical depth."""
     follows_casters: bool
-    """True if the map tabulates what its casters can shadow, so that a rebuild with other casters tabulates other
-    texels and bins; False if it was built for receivers."""
+    """True if a rebuild with other casters fits the atlas to them; False if the map was built for receivers."""
 
 
 def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:
@@ -67,6 +72,7 @@ def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:
         "parallel": list(source.direction) if isinstance(source, LightDirectional) else None,
         "atlas": {name: float(getattr(atlas, name)) for name in _SCALARS},
         "origin": [float(x) for x in atlas.origin],
+        "extent": extent_record(stored.extent),
         "about": stored.about.tolist(),
         "follows": stored.follows_casters,
         "axes": [float(x) for x in np.array(atlas.axes).ravel()],
@@ -93,13 +99,14 @@ def read_map(path: str | os.PathLike[str]) -> StoredMap:
     arrays = read_arrays(path, kind, compressed=True)
     try:
         header = json.loads(checked_array(arrays, "header", (None,), np.uint8).tobytes())
-        if header["version"] != _VERSION:
+        if header["version"] not in _VERSIONS:
             raise FormatError(path, f"is a deep shadow map of version {header['version']}, expected {_VERSION}")
         region = Region(*(checked_array(arrays, name, (None,), np.int32) for name in ("texels", "first", "count")))
         values = checked_array(arrays, "table", (None,), np.float32)
         stored = StoredMap(
             _config(header["config"]),
             _source(header),
+            extent_from_record(header["extent"]) if header["version"] > 1 else LightExtent(),
             _about(header),
             _atlas(header),
             region,
@@ -144,7 +151,10 @@ def _atlas(header: dict[str, Any]) -> Atlas:
 
 def _is_consistent(stored: StoredMap) -> bool:
     """Returns whether the atlas is valid, columns lie within the atlas's texels and bins, and every bin has a value."""
-    return _is_sound(stored.atlas) and _fits(stored.region, stored.atlas) and _are_values(stored.values, stored.region)
+    most = math.inf if has_extent(stored.extent) else 1.0
+    values = stored.values
+    are_values = values.shape == (stored.region.voxel_count,) and bool(((values >= 0.0) & (values <= most)).all())
+    return _is_sound(stored.atlas) and _fits(stored.region, stored.atlas) and are_values
 
 
 def _is_sound(atlas: Atlas) -> bool:
@@ -161,7 +171,3 @@ def _fits(region: Region, atlas: Atlas) -> bool:
         return False
     inside = (texels >= 0) & (texels < texel_count(atlas)) & (first >= 0) & (count >= 0) & (first + count <= atlas.bins)
     return bool(inside.all() and (np.diff(texels) > 0).all())
-
-
-def _are_values(values: FloatArray, region: Region) -> bool:
-    return values.shape == (region.voxel_count,) and bool(((values >= 0.0) & (values <= 1.0)).all())

@@ -50,6 +50,8 @@ class ShadowBound:
     ``Atlas.origin``."""
     radius: float
     """Point light: half angle of the cone, radians. Parallel light: radius of the cylinder, scene units."""
+    spread: float
+    """Parallel light: growth of the radius per unit of distance from the light, the tangent of its angular radius."""
 
 
 @struct
@@ -132,7 +134,8 @@ def may_be_shadowed(atlas: Atlas, bound: ShadowBound, receivers: Receivers, rece
     radius = FOOTPRINT * wp.max(receivers.scales[receiver])
     if atlas.layout == PARALLEL:
         across = wp.cross(parallel_direction(atlas), offset - bound.axis)
-        return wp.length(across) <= bound.radius + radius + 2.0 * atlas.texel_length
+        spread = bound.spread * wp.max(wp.dot(parallel_direction(atlas), offset) + radius, 0.0)
+        return wp.length(across) <= bound.radius + radius + spread + 2.0 * atlas.texel_length
     distance = wp.length(offset)
     if distance <= radius:
         return True
