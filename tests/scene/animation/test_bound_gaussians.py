@@ -81,6 +81,16 @@ def test_a_map_that_flattens_a_gaussian_hides_it_and_only_it():
     np.testing.assert_array_equal(moved.opacities[1:], 0.0)
 
 
+def test_a_map_to_other_units_hides_no_gaussian():
+    """A uniform scale of any size, such as that of a triangle of a head in metres, scales a Gaussian and keeps it."""
+    gaussians = some_gaussians(np.ones((4, 3)))
+    sizes = np.array([1e-9, 0.002, 1e3, 0.0])
+    maps = np.concatenate([sizes[:, None, None] * np.eye(3), np.zeros((4, 3, 1))], axis=2)
+    moved = deform(gaussians, maps)
+    np.testing.assert_array_equal(moved.opacities, np.where(sizes > 0.0, gaussians.opacities, 0.0))
+    np.testing.assert_allclose(moved.scales[:3], sizes[:3, None] * gaussians.scales[:3], rtol=1e-6)
+
+
 def test_nearest_rotations_equal_the_singular_value_decomposition():
     """The polar factor by Newton steps equals that of the SVD, also for nearly singular matrices."""
     linear = RNG.standard_normal((300, 3, 3))
@@ -251,3 +261,19 @@ def test_gaussians_of_gaussian_avatars_follow_their_triangles(tmp_path):
         np.testing.assert_allclose(covariances(shown)[k], wanted, atol=1e-5 * np.trace(wanted))
     with pytest.raises(ls.SceneError, match="bound to triangle 9999, but the rig has 240"):
         ls.bind_gaussians(rig, gaussians=gaussians, triangles=np.full(30, 9999))
+
+
+def test_gaussians_of_a_mesh_of_millimetres_are_visible(tmp_path):
+    """A head in metres has triangles with edges of 5 mm: its Gaussians have that size, at rest and in every pose."""
+    tube = TubeRig(clips={"bend": BEND})
+    tube.nodes[1] = {"name": "root", "children": [2], "scale": [0.01, 0.01, 0.01]}
+    rig = ls.avatars.load_rig(tube.write(tmp_path / "small.glb"))
+    faces = np.arange(len(rig.mesh.indices))
+    edges = rig.mesh.positions[rig.mesh.indices] - rig.mesh.positions[np.roll(rig.mesh.indices, 1, axis=1)]
+    size = float(np.median(np.linalg.norm(edges, axis=2)))
+    assert 0.001 < size < 0.005
+    local = some_gaussians(np.zeros((faces.size, 3)), scales=np.full((faces.size, 3), 0.5))
+    bound = ls.bind_gaussians(rig, gaussians=local, triangles=faces)
+    for shown in (bound.gaussians, bound.at(0.8)):
+        np.testing.assert_array_equal(shown.opacities, local.opacities)
+        assert np.median(shown.scales) == pytest.approx(0.5 * size, rel=0.5)

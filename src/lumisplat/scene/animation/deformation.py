@@ -12,8 +12,9 @@ from lumisplat.math.sh import rotate_sh
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.gaussians import Gaussians
 
-VANISHED_VOLUME = 1e-6
-"""Gaussians whose map shrinks volumes to less than this fraction become transparent: the map flattens them."""
+FLAT_VOLUME = 1e-6
+"""Gaussians become transparent if their map scales volumes by less than this fraction of the cube of its mean scale:
+the map flattens them."""
 
 SHEAR_MIN = 1e-5
 """Largest cosine between two axes of a Gaussian at which they count as perpendicular: rounding in float32 would
@@ -45,9 +46,10 @@ def deform(gaussians: Gaussians, maps: Doubles, *, rotates_sh: bool = True) -> G
     """
     linear, origin = maps[:, :, :3], np.asarray(gaussians.origin, np.float64)
     means = np.einsum("nij,nj->ni", linear, gaussians.means + origin) + maps[:, :, 3] - origin
-    vanished = ~(determinants(linear, cofactors(linear)) > VANISHED_VOLUME)
-    linear = np.where(vanished[:, None, None], np.eye(3), linear)
     scale, rigid = _uniform_scales(linear)
+    vanished = ~(determinants(linear, cofactors(linear)) > FLAT_VOLUME * scale**3)
+    linear, scale = np.where(vanished[:, None, None], np.eye(3), linear), np.where(vanished, 1.0, scale)
+    rigid |= vanished
     turns = linear / scale[:, None, None]
     blended = np.flatnonzero(~rigid)
     if blended.size:
