@@ -277,3 +277,16 @@ def test_gaussians_of_a_mesh_of_millimetres_are_visible(tmp_path):
     for shown in (bound.gaussians, bound.at(0.8)):
         np.testing.assert_array_equal(shown.opacities, local.opacities)
         assert np.median(shown.scales) == pytest.approx(0.5 * size, rel=0.5)
+
+
+def test_a_triangle_without_area_matters_only_to_gaussians_that_are_bound_to_it(tmp_path):
+    """Scanned heads have such triangles: unused ones change nothing, and a used one is named."""
+    rig = ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
+    surface = rig.surfaces[0]
+    damaged = replace(rig, surfaces=(replace(surface, indices=np.array([[5, 5, 7], *surface.indices])),))
+    local, faces = some_gaussians(RNG.uniform(-0.3, 0.3, (30, 3))), RNG.integers(0, len(surface.indices), 30)
+    expected = ls.bind_gaussians(rig, gaussians=local, triangles=faces)
+    found = ls.bind_gaussians(damaged, gaussians=local, triangles=faces + 1)
+    np.testing.assert_array_equal(found.at(0.8).means, expected.at(0.8).means)
+    with pytest.raises(ls.SceneError, match="triangle 0 of the rig has no area in the pose of the Gaussians"):
+        ls.bind_gaussians(damaged, gaussians=local, triangles=0 * faces)

@@ -89,9 +89,9 @@ class FaceBinding:
     """
 
     corners: IntArray
-    """Vertex indices of the T triangles of all meshes of the rig, shape (T, 3)."""
+    """Vertex indices of the T triangles that hold Gaussians, shape (T, 3)."""
     triangles: IntArray
-    """Index of the triangle of each Gaussian, shape (N,)."""
+    """Index, 0..T-1, of the triangle of each Gaussian, shape (N,)."""
     frame_from_rest: Doubles
     """Inverse of each triangle's frame in the pose in which the Gaussians are given, shape (T, 4, 4)."""
 
@@ -244,7 +244,7 @@ def bind_to_faces(rig: Rig, rest: RigPose, triangles: npt.ArrayLike, count: int)
         count: N.
 
     Raises:
-        SceneError: The shape does not fit, or the rig has no such triangle.
+        SceneError: The shape does not fit, or the rig has no such triangle, or one without area.
     """
     index = np.asarray(triangles)
     corners = all_triangles(rig)
@@ -255,8 +255,15 @@ def bind_to_faces(rig: Rig, rest: RigPose, triangles: npt.ArrayLike, count: int)
             f"a Gaussian is bound to triangle {int(index.max())}, but the rig has {len(corners)}: it is another mesh "
             "(GaussianAvatars adds teeth to FLAME)"
         )
-    frames = local_frames(posed_vertices(rig, rest)[corners])
-    return FaceBinding(corners, index.astype(np.int32), np.linalg.inv(frames).astype(np.float64))
+    used, index = np.unique(index, return_inverse=True)
+    frames = local_frames(posed_vertices(rig, rest)[corners[used]])
+    flat = used[~(np.linalg.det(frames) > 0.0)]
+    if flat.size:
+        raise SceneError(
+            f"triangle {flat[0]} of the rig has no area in the pose of the Gaussians, but some are bound to it "
+            f"({flat.size} such triangles): bind them to others, or repair the mesh"
+        )
+    return FaceBinding(corners[used], index.astype(np.int32), np.linalg.inv(frames).astype(np.float64))
 
 
 def local_frames(triangles: Doubles) -> Doubles:
