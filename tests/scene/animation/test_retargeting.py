@@ -207,6 +207,24 @@ def test_bvh_files_move_bodies_and_rigs_and_a_line_says_what_they_do_not_move(tm
         ls.avatars.load_rig(tube, motion=pose_file(tmp_path / "walk.npz", "SMPL"))
 
 
+def test_hips_move_as_in_a_motion_whose_root_above_them_turns_and_moves() -> None:
+    """Both skeletons have the root, a joint of its own: it turns by 90 degrees and walks 2 m, and so do the hips."""
+    names = ["Root", "Hips", *(f"{side}{limb}" for side in ("Left", "Right") for limb in ("UpLeg", "Leg", "Foot"))]
+    places = [(0.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
+    places += [(x, height, 0.0) for x in (0.1, -0.1) for height in (0.9, 0.5, 0.1)]
+    above = [None, "Root", "Hips", "LeftUpLeg", "LeftLeg", "Hips", "RightUpLeg", "RightLeg"]
+    joints = {name: (parent, place) for name, parent, place in zip(names, above, places, strict=True)}
+    half = np.sqrt(0.5)
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (2, len(names), 1))
+    turns[1] = half, 0.0, half, 0.0
+    rig = Rig.of_joints(joints, [0.0, 1.0], turns, [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)])
+    clip = rig.animations[0]
+    done = retarget(rig.skeleton, clip, rig)
+    for time in (0.0, 1.0):
+        expected = rig.skeleton.world_from_node(clip, time)[1:]
+        np.testing.assert_allclose(rig.skeleton.world_from_node(done.clip, time)[1:], expected, atol=1e-9)
+
+
 def directions_of_legs(skeleton: Skeleton, clip: Clip) -> np.ndarray:
     """Returns unit vectors along thighs and shins at 0.5 s."""
     world, joints = skeleton.world_from_node(clip, 0.5), human_joints(skeleton)

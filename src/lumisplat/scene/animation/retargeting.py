@@ -23,7 +23,7 @@ from lumisplat.math.transforms import (
     matrices_from_quaternions,
     quaternions_from_matrices,
     rotation_between,
-    transform_points,
+    transform_points_each,
 )
 from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Rig, Skeleton, Track
 
@@ -229,8 +229,8 @@ def _tracks(
     positions = scale * (left + right) / 2.0 - turned @ (_hips(rest, ours) - rest[pelvis, :3, 3])
     parent = target.parents[pelvis]
     if parent is not None:
-        parent_from_world: Doubles = np.linalg.inv(rest)[parent]
-        positions = transform_points(parent_from_world, positions)
+        moved = _Motion(target, {(track.node, track.channel): track for track in tracks}, motion.times)
+        positions = transform_points_each(np.linalg.inv(moved.world(parent)), positions)
     tracks.append(Track(pelvis, Channel.TRANSLATION, Interpolation.LINEAR, motion.times, positions))
     return tracks
 
