@@ -57,7 +57,7 @@ def beside(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ls.save("garden.ply", random_gaussians(1, count=100))
     ls.save("thing.ply", random_gaussians(1, count=100))
-    ls.save("avatar.ply", random_gaussians(2, count=80, extent=(0.3, 0.8, 0.3)))
+    ls.save("avatar.ply", random_gaussians(2, count=80, center=(0.0, 0.5, 0.0), extent=(0.3, 0.8, 0.3)))
     ls.save_cameras(Path("transforms.json"), [front_camera(name="0001")])
     Path("statue.obj").write_text("v 0 0 4\nv 1 0 4\nv 0 1 4\nf 1 2 3\n")
     trimesh.creation.box().export("statue.glb")

@@ -189,6 +189,30 @@ def test_bones_carry_the_gaussians_around_them():
     assert (shares[:, :2] > 0.2).all()
 
 
+def test_a_skeleton_in_other_units_or_elsewhere_is_refused_until_the_advice_is_followed():
+    """Metres and centimetres, a place beside the figure, and one on its head: each is named, and `transform` mends it.
+
+    Floaters far away, 1 in 200, do not make the figure larger.
+    """
+    along = np.linspace(0.0, 2.0, 400)
+    means = np.stack([along, 0.1 * np.cos(40.0 * along), 0.1 * np.sin(40.0 * along)], axis=1)
+    means[::200] += 70.0
+    metres, rig = some_gaussians(means), two_bones()
+    expected = ls.bind_gaussians(rig, gaussians=metres)
+    for change, message in (
+        ({"scale": 0.01}, r"the skeleton is 101 times as large as the Gaussians \(2 and 0.01985 units\)"),
+        ({"scale": 5.0}, r"the skeleton is 0.2\d* times as large as the Gaussians"),
+        ({"translation": (0.0, 1.0, 0.0)}, r"the skeleton, in \(0, 0, 0\)..\(2, 0, 0\), stands beside the Gaussians"),
+        ({"rotation_degrees": (0.0, 180.0, 0.0)}, "move or turn them by ls.transform"),
+    ):
+        moved = ls.transform(metres, **change)
+        with pytest.raises(ls.SceneError, match=message):
+            ls.bind_gaussians(rig, gaussians=moved)
+        back = {"scale": 1.0 / change["scale"]} if "scale" in change else {k: -np.array(v) for k, v in change.items()}
+        mended = ls.bind_gaussians(rig, gaussians=ls.transform(moved, **back))
+        np.testing.assert_allclose(mended.at(1.0).means, expected.at(1.0).means, atol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Doubles, FloatArray, IntArray, float_array
+from lumisplat.math.arrays import Doubles, FloatArray, IntArray, box_text, float_array
 from lumisplat.scene.animation.rig import Rig, RigPose, Skeleton
 
 TRIANGLE_CANDIDATES = 16
@@ -29,6 +29,18 @@ BONE_BLEND = 1.0
 
 BONE_ROUNDS = 4
 """Number of times that Gaussians are assigned to bones and the thickness of each limb is measured."""
+
+SKELETON_RATIO_MAX = 4.0
+"""Largest ratio of the sizes of a skeleton and of the Gaussians around it; above it, they have different units."""
+
+SKELETON_MARGIN = 0.25
+"""Distance from the box of the Gaussians, relative to its diagonal, up to which a joint may be outside."""
+
+SKELETON_INSIDE_MIN = 0.5
+"""Smallest share of a skeleton's joints that must be so near to the Gaussians."""
+
+_BOX_QUANTILES = (0.01, 0.99)
+"""Shares of the Gaussians between which their box is measured, along each axis: a few far ones do not count."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,10 +156,15 @@ def bind_to_bones(rig: Rig, rest: RigPose, points: Doubles) -> JointBinding:
         rig: The rig.
         rest: Pose in which the Gaussians are given.
         points: Means of the N Gaussians in the space of the pose, shape (N, 3).
+
+    Raises:
+        SceneError: The skeleton is much larger or smaller than the Gaussians, or stands elsewhere.
     """
     skeleton = rig.skeleton
     count = len(skeleton.parents)
-    distances = _bone_distances(skeleton, rest.world_from_node[:, :3, 3], points)
+    joints = rest.world_from_node[:, :3, 3]
+    _check_stands_in(joints, points)
+    distances = _bone_distances(skeleton, joints, points)
     thickness = np.zeros(count)
     for _ in range(BONE_ROUNDS):
         owner = np.argmin(distances - thickness, axis=1)
@@ -159,6 +176,29 @@ def bind_to_bones(rig: Rig, rest: RigPose, points: Doubles) -> JointBinding:
     share = 1.0 - np.minimum(further / reach, 1.0)
     weights = np.where(_neighbouring(skeleton)[owner], share * share * (3.0 - 2.0 * share), 0.0)
     return bind_to_joints(rig, rest, weights, len(points))
+
+
+def _check_stands_in(joints: Doubles, points: Doubles) -> None:
+    """Raises a `SceneError` unless most of J joints, (J, 3), are among N points, (N, 3), and as far apart as these."""
+    low, high = np.quantile(points, _BOX_QUANTILES, axis=0)
+    size, own_size = float(np.linalg.norm(high - low)), float(np.linalg.norm(np.ptp(joints, axis=0)))
+    if min(size, own_size) == 0.0:
+        return
+    ratio = own_size / size
+    if max(ratio, 1.0 / ratio) > SKELETON_RATIO_MAX:
+        found = f"the skeleton is {ratio:.3g} times as large as the Gaussians ({own_size:.4g} and {size:.4g} units)"
+        raise SceneError(
+            f"{found}: bring them to one unit by ls.transform(gaussians, scale=...), by lumisplat convert --scale, or "
+            "by other positions of the joints"
+        )
+    margin = SKELETON_MARGIN * size
+    inside = ((joints >= low - margin) & (joints <= high + margin)).all(axis=1)
+    if inside.mean() < SKELETON_INSIDE_MIN:
+        own, theirs = box_text(joints.min(axis=0), joints.max(axis=0)), box_text(low, high)
+        raise SceneError(
+            f"the skeleton, in {own}, stands beside the Gaussians, in {theirs}: move or turn them by "
+            "ls.transform(gaussians, translation=..., rotation_degrees=...), or give other positions of the joints"
+        )
 
 
 def _bone_distances(skeleton: Skeleton, joints: Doubles, points: Doubles) -> Doubles:
