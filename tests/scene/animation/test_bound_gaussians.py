@@ -256,6 +256,22 @@ def test_a_rig_of_joints_takes_world_rotations_and_refuses_broken_trees():
         ls.avatars.Rig.of_joints(joints | {"knee": (None, (0, 0, 0))})
 
 
+@pytest.mark.parametrize(
+    ("times", "turns", "places", "message"),
+    [
+        (None, None, [(0.0, 0.0, 0.0)], "make a clip, with root_positions"),
+        ([1.0, 0.0], np.ones((2, 2, 4)), None, "times must increase, but 0 follows 1"),
+        ([], np.ones((0, 2, 4)), None, "at least one"),
+        ([0.0, 1.0], np.ones((2, 2, 1)) * (0.0, 0.0, 0.0, 0.0), None, "of joint 'hip': 2 of 2 are of zero length"),
+    ],
+)
+def test_a_rig_of_joints_refuses_clips_that_cannot_be_played(times, turns, places, message):
+    """Positions without times, times that fall or are none, and rotations that are none give one line each."""
+    joints: dict = {"hip": (None, (0.0, 1.0, 0.0)), "knee": ("hip", (0.0, 0.5, 0.0))}
+    with pytest.raises(ls.SceneError, match=message):
+        ls.avatars.Rig.of_joints(joints, times, turns, places)
+
+
 def test_gaussians_of_gaussian_avatars_follow_their_triangles(tmp_path):
     """In every pose a Gaussian is at the scaled local position in its triangle's frame; SH stay in world space."""
     rig = ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))

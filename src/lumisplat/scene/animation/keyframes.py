@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.math.arrays import finite_array
+from lumisplat.math.arrays import Doubles, finite_array
 from lumisplat.math.transforms import matrices_from_quaternions, slerp
 
 
@@ -104,6 +104,22 @@ def check_time(time: float) -> None:
     """Raises a `SceneError` unless ``time`` is a finite number of seconds."""
     if not is_number(time) or not np.isfinite(time):
         raise SceneError(f"time is {time}, expected seconds, a finite number")
+
+
+def checked_times(times: npt.ArrayLike, count: int) -> Doubles:
+    """Returns the times of ``count`` keys, shape (count,).
+
+    Raises:
+        SceneError: There is no key, a time is not finite, their number differs, or they do not increase.
+    """
+    checked = finite_array("times", times, np.float64)
+    if count == 0 or checked.shape != (count,):
+        raise SceneError(f"times has shape {checked.shape}, expected one time for each of {count} keys, at least one")
+    falls = np.flatnonzero(np.diff(checked) <= 0.0)
+    if falls.size:
+        k = int(falls[0])
+        raise SceneError(f"times must increase, but {checked[k + 1]:g} follows {checked[k]:g} (key {k + 1})")
+    return checked
 
 
 def bracket(times: npt.NDArray[np.float64], time: float) -> tuple[int, int, float]:

@@ -15,7 +15,7 @@ from lumisplat.config.setting import frozen, given
 from lumisplat.errors import LumisplatError, SceneError, check_shapes
 from lumisplat.math.arrays import Doubles, finite_array, unit_vector
 from lumisplat.math.transforms import axis_rotation, matrices_from_quaternions, quaternions_from_matrices, slerp
-from lumisplat.scene.animation.keyframes import bracket, check_time
+from lumisplat.scene.animation.keyframes import bracket, check_time, checked_times
 from lumisplat.scene.checks import check_kind, items_of, take_scene_fields, with_checked
 from lumisplat.scene.lights import Light, LightRect, PlacedLight
 from lumisplat.scene.materials import Material
@@ -231,22 +231,6 @@ def _changed(item: Any, **values: object) -> Any:
     if all(_is_same(getattr(item, name), value) for name, value in values.items()):
         return item
     return with_checked(item, **values)
-
-
-def checked_times(times: npt.ArrayLike, count: int) -> Doubles:
-    """Returns the times of ``count`` keys, shape (count,).
-
-    Raises:
-        SceneError: There is no key, a time is not finite, their number differs, or they do not increase.
-    """
-    checked = finite_array("times", times, np.float64)
-    if count == 0 or checked.shape != (count,):
-        raise SceneError(f"times has shape {checked.shape}, expected one time for each of {count} keys, at least one")
-    falls = np.flatnonzero(np.diff(checked) <= 0.0)
-    if falls.size:
-        k = int(falls[0])
-        raise SceneError(f"times must increase, but {checked[k + 1]:g} follows {checked[k]:g} (key {k + 1})")
-    return checked
 
 
 def _is_same(first: object, second: object) -> bool:

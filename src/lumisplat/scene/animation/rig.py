@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.math.arrays import Doubles, FloatArray, IntArray, finite_array, read_only_view
+from lumisplat.math.arrays import Doubles, FloatArray, IntArray, finite_array, read_only_view, refuse_rows
 from lumisplat.math.transforms import (
     is_mirroring,
     matrices_from_quaternions,
@@ -22,7 +22,7 @@ from lumisplat.math.transforms import (
     transform_normals_each,
     transform_points_each,
 )
-from lumisplat.scene.animation.keyframes import check_time
+from lumisplat.scene.animation.keyframes import check_time, checked_times
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh, check_triangles
 
@@ -358,7 +358,8 @@ class Rig:
             root_positions: Position of the root joint at these times, shape (T, 3); None: it stays.
 
         Raises:
-            SceneError: There is not one root, a parent is unknown or comes later, or shapes do not match.
+            SceneError: There is not one root, a parent is unknown or comes later, shapes do not match, times do not
+                increase, a rotation has zero length, or a clip lacks times or rotations.
         """
         names = list(joints)
         parents: list[int | None] = []
@@ -385,12 +386,16 @@ class Rig:
             names=tuple(names),
         )
         if times is None or rotations_wxyz is None:
-            if times is not None or rotations_wxyz is not None:
-                raise SceneError("times and rotations_wxyz make a clip: give both, or neither")
+            if times is not None or rotations_wxyz is not None or root_positions is not None:
+                raise SceneError(
+                    "times and rotations_wxyz make a clip, with root_positions: give both, or none of them"
+                )
             return cls(skeleton, (), ())
-        keys = finite_array("times", times, np.float64)
+        keys = checked_times(times, len(np.atleast_1d(times)))
         world = finite_array("rotations_wxyz", rotations_wxyz, np.float64)
         check_shapes(times=(keys, "T"), joints=(positions, "J 3"), rotations_wxyz=(world, "T J 4"))
+        for name, turns in zip(names, world.swapaxes(0, 1), strict=True):
+            refuse_rows(f"rotations_wxyz of joint {name!r}", "of zero length", ~turns.any(axis=1))
         tracks: list[Track] = []
         for k, parent in enumerate(parents):
             local = world[:, k]
