@@ -135,3 +135,9 @@ def test_material_of_a_name_changes_with_time_on_all_its_objects() -> None:
     assert first.mesh.positions is meshes[0].positions and still.mesh is meshes[1]
     with pytest.raises(ls.SceneError, match="material 'red' is a MaterialPbr, which has no shininess"):
         replace(moving, materials=[MaterialPath("red", [0.0], {"shininess": [1.0]})]).scene_at(0.0)
+
+
+def test_material_path_asks_for_a_list_where_one_number_is_given() -> None:
+    """A number without its list has no key."""
+    with pytest.raises(ls.SceneError, match=r"roughness has shape \(\), expected a list of 1 numbers or colours"):
+        MaterialPath("red", [0.0], {"roughness": 0.5})

@@ -167,10 +167,10 @@ class MaterialPath:
         take_scene_fields(self)
         check_kind("values", self.values, Mapping, "a mapping from fields to values")
         values = {key: finite_array(key, value, np.float64) for key, value in self.values.items()}
-        times = checked_times(self.times, len(next(iter(values.values()), np.zeros(0))))
+        times = checked_times(self.times, len(np.atleast_1d(next(iter(values.values()), np.zeros(0)))))
         for key, value in values.items():
             if value.shape not in ((times.size,), (times.size, 3)):
-                raise SceneError(f"{key} has shape {value.shape}, expected {times.size} numbers or colours")
+                raise SceneError(f"{key} has shape {value.shape}, expected a list of {times.size} numbers or colours")
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "values", values)
 
