@@ -591,6 +591,25 @@ def test_normals_of_a_sequence_are_those_of_its_first_frame_turned_along(monkeyp
         np.testing.assert_allclose(normals, found[0] @ turn_between(first, frame).T, atol=1e-5)
 
 
+def test_an_actor_keeps_its_exposure_when_another_one_leaves() -> None:
+    """Two balls captured in different light: the second one alone looks as it did beside the first one."""
+    scene = ls.Scene(splats=[floor()])
+    dark, bright = (captured(puppet().gaussians.means, np.full(3, grey), scale=0.04) for grey in (0.2, 0.5))
+
+    def shown(time: float) -> list[ls.SplatInstance]:
+        return [ls.SplatInstance(dark, name="dark")] if time < 0.5 else []
+
+    actors = [ls.Actor(shown), ls.Actor(bright, name="bright")]
+    stage = lighter(scene, relight=True, shadows=False, transfer=ls.config.RelightConfig(), lights_on_actors=False)
+    both, alone = (
+        stage.light([one for one, _, _ in placed], keys=[key for _, _, key in placed]).splats[-1].gaussians.sh
+        for placed in map(ls.Animation(scene, actors).placed_at, (0.0, 1.0))
+    )
+    np.testing.assert_array_equal(alone, both)
+    with pytest.raises(ls.SceneError, match="keys has 1 different entries, expected 2, one per actor"):
+        stage.light([puppet(), puppet()], keys=["a", "a"])
+
+
 def test_light_that_actors_hide_from_the_whole_capture_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     """A light in a hollow actor is inside no Gaussian, but the whole capture is in shadow."""
     stage = lighter(ls.Scene(splats=[floor()]), [replace(LIGHT, position=(0.0, 1.0, 0.0), name="torch")])

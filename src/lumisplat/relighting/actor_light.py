@@ -6,7 +6,7 @@ Sources: docs/method/relighting.md#light-on-actors and #exposure.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,8 +106,8 @@ class ActorLight:
         self._through_scene: Renderer | None = None
         self._through_actors: Renderer | None = None
         """Renderers of shadow rays; None until the first ray."""
-        self._exposures: dict[int, Exposure] = {}
-        """Exposure of each actor, by its position in the list of actors, estimated when it is first lit."""
+        self._exposures: dict[Hashable, Exposure] = {}
+        """Exposure of each actor, by its key, estimated when it is first lit."""
         self._warned: set[int] = set()
 
     def take_lights(self, lights: Sequence[Light]) -> None:
@@ -127,7 +127,7 @@ class ActorLight:
 
     def scales(
         self,
-        number: int,
+        key: Hashable,
         actor: SplatInstance,
         normals: FloatArray,
         casters: Sequence[PlacedActor],
@@ -136,7 +136,7 @@ class ActorLight:
         """Returns the factor of each channel at the N Gaussians of an actor, shape (N, 3).
 
         Args:
-            number: Position of the actor in the list of actors.
+            key: What identifies the actor in all frames.
             actor: The actor.
             normals: Unit normals, world space, shape (N, 3).
             casters: Actors that cast shadows on it; may include itself.
@@ -150,9 +150,9 @@ class ActorLight:
             share * self._visibility(actor, light) if share > 0.0 else 0.0
             for light, share in zip(self._lights, shares, strict=True)
         ]
-        if number not in self._exposures:
-            self._exposures[number] = self._exposure(actor, center, probe, sky, beyond)
-        exposure = self._exposures[number]
+        if key not in self._exposures:
+            self._exposures[key] = self._exposure(actor, center, probe, sky, beyond)
+        exposure = self._exposures[key]
         total = light_scales(probe, normals, transfer)
         blocking = _Blocking(self, actor, normals, casters)
         if captured_lights:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,7 +79,9 @@ class AvatarLighter:
     that it is as bright as its surroundings (docs/method/relighting.md#exposure).
 
     Normals of Gaussians that have none are estimated when an actor is first lit, and carried on to later frames with
-    the same Gaussians. Frames of a sequence therefore begin with its first: other frames then do not depend on order.
+    the same Gaussians. Frames of a sequence therefore begin with its first: the actors in it then look the same in
+    whatever order the other frames are lit. An actor that appears later takes its exposure and normals from the frame
+    in which it is first lit.
 
     Actors that are meshes stay meshes; frames with mesh actors are lit frames. The lights, and a probe at the meshes'
     position for the rest of the light, illuminate all meshes without shadows; captures stay unlit. If the scene's
@@ -141,8 +143,8 @@ class AvatarLighter:
         self._receivers = _receivers(scene, self._roles.uses_scene_lights)
         self._shadows: ActorShadows | None = None
         """Shadow maps of actors on the captures; None until a frame needs them."""
-        self._normals: dict[int, tuple[Gaussians, FloatArray]] = {}
-        """Gaussians of each actor when it was first lit, and their normals, by the actor's position in the list."""
+        self._normals: dict[Hashable, tuple[Gaussians, FloatArray]] = {}
+        """Gaussians of each actor when it was first lit, and their normals, by the actor's key."""
 
     def update(self, scene: Scene) -> None:
         """Takes the scene at the time of the next frames: the same captures and meshes with other lights or materials.
@@ -184,6 +186,7 @@ class AvatarLighter:
         *,
         casts_shadow: Sequence[bool] | None = None,
         relit: Sequence[bool] | None = None,
+        keys: Sequence[Hashable] | None = None,
     ) -> Scene:
         """Returns the scene with lit actors in it, for one frame.
 
@@ -194,6 +197,8 @@ class AvatarLighter:
             actors: Gaussians and meshes in world space, or instances.
             casts_shadow: Whether each actor casts shadows on the scene; None: all do.
             relit: Whether each actor is relit by the probe at its position; None: all are.
+            keys: What identifies each actor in all frames, such as its name: its exposure and normals are kept under
+                it. None: the position in ``actors``, so that every frame must list the same actors in the same order.
 
         Returns:
             A scene with the darkened captures followed by the actors' Gaussians, and the scene's meshes followed by the
@@ -207,15 +212,20 @@ class AvatarLighter:
         casts = actor_flags("casts_shadow", casts_shadow, len(placed))
         casting = [actor for actor, flag in zip(placed, casts, strict=True) if flag]
         takes_light = actor_flags("relit", relit, len(placed))
+        identities = range(len(placed)) if keys is None else keys
+        if len(identities) != len(placed) or len(set(identities)) != len(placed):
+            raise SceneError(
+                f"keys has {len(set(identities))} different entries, expected {len(placed)}, one per actor"
+            )
         uses_scene_lights = self._uses_scene_lights(placed)
         meshes = [actor for actor in placed if isinstance(actor, MeshInstance)]
         sets = self._darken(casting)
         self._actor_light.config = self.config
         splats = [
-            self._relight(number, actor, casting)
+            self._relight(key, actor, casting)
             if flag and (emits_capture_only(actor) or not uses_scene_lights)
             else actor
-            for number, (actor, flag) in enumerate(zip(placed, takes_light, strict=True))
+            for key, actor, flag in zip(identities, placed, takes_light, strict=True)
             if isinstance(actor, SplatInstance)
         ]
         if uses_scene_lights:
@@ -279,28 +289,28 @@ class AvatarLighter:
         scale = irradiance / self.config.estimation.irradiance
         return tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
 
-    def _relight(self, number: int, actor: SplatInstance, casters: Sequence[PlacedActor]) -> SplatInstance:
-        """Returns an actor with its colours scaled by the light at its position; ``number`` counts the actors."""
+    def _relight(self, key: Hashable, actor: SplatInstance, casters: Sequence[PlacedActor]) -> SplatInstance:
+        """Returns an actor with its colours scaled by the light at its position; ``key`` identifies it."""
         if not self.config.relight:
             return actor
-        normals = self._normals_of(number, actor.gaussians) @ actor.transform[:3, :3].T / actor.scale
+        normals = self._normals_of(key, actor.gaussians) @ actor.transform[:3, :3].T / actor.scale
         lights = self.lights if self.config.shadows and self.lights is not None else ()
-        scales = self._actor_light.scales(number, actor, normals.astype(np.float32), casters, lights)
+        scales = self._actor_light.scales(key, actor, normals.astype(np.float32), casters, lights)
         return scale_light_of(actor, scales)
 
-    def _normals_of(self, number: int, gaussians: Gaussians) -> FloatArray:
+    def _normals_of(self, key: Hashable, gaussians: Gaussians) -> FloatArray:
         """Returns the object-space normals of an actor: its own, carried from when it was first lit, or estimated."""
         method = self.config.transfer.normals
         if method is NormalEstimate.AUTO and gaussians.normals is not None:
             return gaussians.normals
-        if number in self._normals:
-            first, normals = self._normals[number]
+        if key in self._normals:
+            first, normals = self._normals[key]
             if first is gaussians:
                 return normals
             if correspond(first, gaussians):
                 return carried_normals(normals, first, gaussians)
-        self._normals[number] = gaussians, estimate_normals(gaussians, method)
-        return self._normals[number][1]
+        self._normals[key] = gaussians, estimate_normals(gaussians, method)
+        return self._normals[key][1]
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
         """Returns the lights of mesh actors, and an environment for indirect light from a probe at their centroid.

@@ -281,15 +281,16 @@ class _AnimationFrames:
     def _lit_scene(self, index: int) -> ls.Scene:
         """Returns the scene at the time of a frame number, with actors lit by captures and casting shadows on them."""
         animation, now = self._animation, float(self._animation.times[index])
-        placed = [(instance, actor) for actor in animation.actors for instance in actor.at(now)]
-        instances, scene = [instance for instance, _ in placed], animation.scene_at(now)
+        placed = animation.placed_at(now)
+        instances, scene = [instance for instance, _, _ in placed], animation.scene_at(now)
         if self._lighter is None:
             return with_actors(scene, instances)
         self._lighter.update(scene)
         return self._lighter.light(
             instances,
-            casts_shadow=[actor.casts_shadow for _, actor in placed],
-            relit=[actor.relight for _, actor in placed],
+            casts_shadow=[actor.casts_shadow for _, actor, _ in placed],
+            relit=[actor.relight for _, actor, _ in placed],
+            keys=[key for _, _, key in placed],
         )
 
     def _without_lit_albedos(self, scene: ls.Scene) -> ls.Scene:

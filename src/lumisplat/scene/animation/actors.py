@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -299,6 +299,12 @@ class Actor:
                 gaussians = cast("Gaussians", self.subject)
         return (SplatInstance(gaussians, world, name=self.name),)
 
+    def part_names(self, time: float, count: int) -> list[str]:
+        """Returns the ``count`` instances' names in the subject; empty ones if its parts are constant."""
+        if isinstance(self.subject, Deforming):
+            return [part.name for part in self.subject.at(self._own_time(time))]
+        return [""] * count
+
     def _placed(self, instances: tuple[Instance, ...], world: npt.NDArray[np.float64]) -> tuple[Instance, ...]:
         """Returns the instances, named after the actor, with the matrix ``world``, (4, 4), applied after their own."""
         return tuple(replace(i, world_from_object=world @ i.transform, name=self.name or i.name) for i in instances)
@@ -423,4 +429,22 @@ class Animation:
             SceneError: The time is not finite.
             FormatError: A frame of a sequence cannot be read.
         """
-        return [instance for actor in self.actors for instance in actor.at(time)]
+        return [instance for instance, _, _ in self.placed_at(time)]
+
+    def placed_at(self, time: float) -> list[tuple[Instance, Actor, tuple[int, str, int]]]:
+        """Returns the instances of `actors_at`, each with its actor and a key that identifies it at all times.
+
+        The key is the actor's number, the part's own name, and its number among parts of that name: parts that come and
+        go change no others' keys, unless they share a name.
+
+        Raises:
+            SceneError: The time is not finite.
+            FormatError: A frame of a sequence cannot be read.
+        """
+        placed: list[tuple[Instance, Actor, tuple[int, str, int]]] = []
+        for number, actor in enumerate(self.actors):
+            instances, seen = actor.at(time), Counter[str]()
+            for instance, name in zip(instances, actor.part_names(time, len(instances)), strict=True):
+                placed.append((instance, actor, (number, name, seen[name])))
+                seen[name] += 1
+        return placed

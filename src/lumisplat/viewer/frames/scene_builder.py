@@ -106,16 +106,17 @@ class SceneBuilder:
         self, animation: ls.Animation, stage: _ActorLighting | None, still: ls.Scene, time: float, level: int
     ) -> ls.Scene:
         """Returns a static scene with the actors added at a time in seconds, lit by ``stage`` or, if None, unlit."""
-        placed = [(instance, actor) for actor in animation.actors for instance in actor.at(time)]
-        instances = [instance for instance, _ in placed]
+        placed = animation.placed_at(time)
+        instances = [instance for instance, _, _ in placed]
         if stage is not None:
             try:
                 lighter = self._avatar_lighter(animation, stage, still, level)
                 lighter.update(replace(animation, scene=still).scene_at(time))
                 return lighter.light(
                     instances,
-                    casts_shadow=[actor.casts_shadow for _, actor in placed],
-                    relit=[actor.relight for _, actor in placed],
+                    casts_shadow=[actor.casts_shadow for _, actor, _ in placed],
+                    relit=[actor.relight for _, actor, _ in placed],
+                    keys=[key for _, _, key in placed],
                 )
             except ls.SceneError as error:
                 stage.has_failed = True
@@ -153,7 +154,8 @@ class SceneBuilder:
         )
         if level == 0:
             # Lights, exposures and normals are those of frame 0, whatever is shown first.
-            lighter.light([instance for actor in animation.actors for instance in actor.at(0.0)])
+            first = animation.placed_at(0.0)
+            lighter.light([instance for instance, _, _ in first], keys=[key for _, _, key in first])
         stage.lighters[level] = still, lighter
         return lighter
 
