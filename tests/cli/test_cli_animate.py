@@ -415,7 +415,7 @@ def test_animate_relights_actors_of_a_capture_in_which_no_light_is_found(work, c
     assert outcome.status == 0, outcome.err
     lines = [record.getMessage() for record in caplog.records]
     assert sum("actors cast no shadows: no light found" in line for line in lines) == 1
-    assert sum("of display white" in line for line in lines) == 1
+    assert sum("to match its surroundings" in line for line in lines) == 1
 
 
 def test_animate_writes_float_frames_and_prints_statistics(work):

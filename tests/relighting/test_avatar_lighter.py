@@ -165,13 +165,26 @@ def test_probe_of_an_actor_follows_an_environment_that_changes() -> None:
     dim = ls.Scene([floor()], lights=[ls.LightEnvironment(color=(0.2, 0.2, 0.2)), replace(LIGHT, intensity=0.0)])
     bright = replace(dim, lights=[replace(dim.lights[0], intensity=4.0), dim.lights[1]])
     stage = lighter(dim, None, relight=True)
+    probes = stage._probes
     before = stage.light([puppet()]).splats[1].gaussians.sh[:, 0]
     stage.update(bright)
     after = stage.light([puppet()]).splats[1].gaussians.sh[:, 0]
     assert after.mean() > before.mean() + 0.1
+    assert stage._probes is probes  # and its renderer, which holds the capture
     np.testing.assert_array_equal(
         after, lighter(bright, None, relight=True).light([puppet()]).splats[1].gaussians.sh[:, 0]
     )
+
+
+def test_captures_in_shadow_keep_the_materials_of_each_frame() -> None:
+    """Light that a shadowed capture emits by itself fades with its material."""
+    ground, materials = floor(), [ls.MaterialSimple(emissive=value, diffuse=0.0) for value in (1.0, 0.1)]
+    scenes = [ls.Scene([ls.SplatInstance(ground, material=material)]) for material in materials]
+    stage = lighter(scenes[0])
+    for scene, material in zip(scenes, materials, strict=True):
+        stage.update(scene)
+        seen = stage.light([puppet()]).splats[0]
+        assert seen.gaussians is not ground and seen.material == material
 
 
 def test_frames_of_an_actor_that_returns_to_its_first_position_are_equal_to_the_bit() -> None:
@@ -518,7 +531,7 @@ def test_a_relit_figure_is_as_bright_as_its_surroundings_make_a_card_of_its_albe
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         assert brightness(0.5, 1.0) == pytest.approx(0.5, rel=0.15)
     assert caplog.text.count("actor 'puppet' is lit at ") == 1
-    assert "the light around is 1 of display white, it was captured in 0.8, open directions" in caplog.text
+    assert "to match its surroundings (light there 1, in its own capture 0.8, display white 1)" in caplog.text
     assert brightness(0.35, 1.0) == pytest.approx(brightness(0.5, 1.0), rel=0.02)
     assert brightness(0.5, 0.3) == pytest.approx(0.3 * brightness(0.5, 1.0), rel=0.02)
 

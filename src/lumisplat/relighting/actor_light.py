@@ -97,7 +97,7 @@ class ActorLight:
         device: str,
         progress: Progress | None,
     ) -> None:
-        self._scene, self.config, self._background = scene, config, background
+        self._scene, self.config = scene, config
         self._device, self._progress = device, progress
         self.take_lights(lights)
         self.probes = ProbeCache(scene, background, device, progress)
@@ -123,7 +123,7 @@ class ActorLight:
         if [id(one) for one in lights if isinstance(one, LightEnvironment)] != [*map(id, environments)]:
             others = (light for light in lights if not isinstance(light, LightEnvironment))
             self._scene = replace(self._scene, lights=(*others, *environments))
-            self.probes = ProbeCache(self._scene, self._background, self._device, self._progress)
+            self.probes.take_scene(self._scene)
 
     def scales(
         self,
@@ -246,12 +246,11 @@ class ActorLight:
         gain = max(around / max(held + added + is_open * radiance, 1e-3), 1.0)
         exposure = Exposure(captured, around, radiance, gain)
         name = f"actor {actor.name!r}" if actor.name else "an actor"
-        sky_text = f", open directions have radiance {radiance:.2g}" if radiance > 0.0 else ""
         _log.warning(
-            "%s is lit at %.2g of its captured brightness: the light around is %.2g of display white, it was "
-            "captured in %.2g%s; RelightConfig.gamma=1 takes the light as the captures hold it instead (in a "
-            "scene.toml: gamma in [animation.lighting.transfer])",
-            *(name, exposure.gamma * (held + added + is_open * radiance), around, captured, sky_text),
+            "%s is lit at %.2g of its captured brightness, to match its surroundings (light there %.2g, in its own "
+            "capture %.2g, display white 1); RelightConfig.gamma=1 takes the light as the captures hold it instead "
+            "(in a scene.toml: gamma in [animation.lighting.transfer])",
+            *(name, exposure.gamma * (held + added + is_open * radiance), around, captured),
         )
         return exposure
 

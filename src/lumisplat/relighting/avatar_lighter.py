@@ -262,7 +262,8 @@ class AvatarLighter:
                 progress=self._progress,
             )
         for row, darkened in zip(self._receivers, self._shadows.darken(casting), strict=True):
-            sets[row] = darkened
+            if darkened.gaussians is not sets[row].gaussians:
+                sets[row] = replace(sets[row], gaussians=darkened.gaussians)
         return sets
 
     def _casting_lights(self, actors: Sequence[PlacedActor]) -> tuple[Light, ...]:

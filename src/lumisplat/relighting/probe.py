@@ -415,6 +415,11 @@ class ProbeCache:
         """Renderer of the probes, created for the first probe, so that scenes without probes load no kernels."""
         self._probes: dict[bytes, tuple[EnvironmentProbe, EnvironmentProbe]] = {}
 
+    def take_scene(self, scene: Scene) -> None:
+        """Takes another scene for the next probes, which the same renderer captures."""
+        self._scene = scene
+        self._probes.clear()
+
     def at(self, center: npt.NDArray[np.float64]) -> EnvironmentProbe:
         """Returns the probe at a world position, shape (3,): rendered now, or kept from an earlier call."""
         return self._pair(center)[0]

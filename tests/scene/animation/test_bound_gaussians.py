@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -199,16 +200,19 @@ def test_a_skeleton_in_other_units_or_elsewhere_is_refused_until_the_advice_is_f
     means[::200] += 70.0
     metres, rig = some_gaussians(means), two_bones()
     expected = ls.bind_gaussians(rig, gaussians=metres)
-    for change, message in (
+    changes: list[tuple[dict[str, Any], str]] = [
         ({"scale": 0.01}, r"the skeleton is 101 times as large as the Gaussians \(2 and 0.01985 units\)"),
         ({"scale": 5.0}, r"the skeleton is 0.2\d* times as large as the Gaussians"),
         ({"translation": (0.0, 1.0, 0.0)}, r"the skeleton, in \(0, 0, 0\)..\(2, 0, 0\), stands beside the Gaussians"),
         ({"rotation_degrees": (0.0, 180.0, 0.0)}, "move or turn them by ls.transform"),
-    ):
+    ]
+    for change, message in changes:
         moved = ls.transform(metres, **change)
         with pytest.raises(ls.SceneError, match=message):
             ls.bind_gaussians(rig, gaussians=moved)
-        back = {"scale": 1.0 / change["scale"]} if "scale" in change else {k: -np.array(v) for k, v in change.items()}
+        back: dict[str, Any] = (
+            {"scale": 1.0 / change["scale"]} if "scale" in change else {k: -np.array(v) for k, v in change.items()}
+        )
         mended = ls.bind_gaussians(rig, gaussians=ls.transform(moved, **back))
         np.testing.assert_allclose(mended.at(1.0).means, expected.at(1.0).means, atol=1e-3)
 
