@@ -134,6 +134,18 @@ def test_shadow_of_a_lamp_that_moves_by_keyframes_falls_where_geometry_says() ->
     np.testing.assert_array_equal(lit.sh, alone.light([puppet()]).splats[0].gaussians.sh)
 
 
+def test_shadow_of_a_lamp_that_fades_fades_with_it() -> None:
+    """A quarter of the light casts a quarter of the shadow, none none; a brighter lamp's is that of the capture."""
+    ground = floor()
+    lights = [[replace(LIGHT, intensity=share * LIGHT.intensity)] for share in (1.0, 0.25, 1e-6, 0.0, 3.0)]
+    stage, depths = lighter(ls.Scene([ground], lights=lights[0]), None), []
+    for one in lights:
+        stage.update(ls.Scene([ground], lights=one))
+        depths.append(1.0 - light_left(ground, stage.light([puppet()]).splats[0].gaussians).min())
+    np.testing.assert_allclose(depths, np.array([1.0, 0.25, 0.0, 0.0, 1.0]) * depths[0], atol=5e-3)
+    assert depths[0] > 0.9
+
+
 def test_maps_are_built_anew_for_lights_that_moved_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """One light moves, one fades, one stays, and one grows; the static mesh's shadow follows the moving one, too."""
     built: list[object] = []
@@ -155,7 +167,9 @@ def test_maps_are_built_anew_for_lights_that_moved_and_no_others(monkeypatch: py
     stage.update(second)
     again = stage.light([puppet()]).splats[0].gaussians
     assert built == [moved, grown, moved, grown]
-    np.testing.assert_array_equal(again.sh, lighter(second, None).light([puppet()]).splats[0].gaussians.sh)
+    alone = lighter(first, None)
+    alone.update(second)
+    np.testing.assert_array_equal(again.sh, alone.light([puppet()]).splats[0].gaussians.sh)
     with pytest.raises(ls.SceneError, match="other captures or meshes than the lighter's"):
         stage.update(ls.Scene([floor()]))
 

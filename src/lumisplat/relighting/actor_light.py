@@ -106,6 +106,8 @@ class ActorLight:
         self._through_scene: Renderer | None = None
         self._through_actors: Renderer | None = None
         """Renderers of shadow rays; None until the first ray."""
+        self.captured: tuple[Light, ...] | None = None
+        """The lights of the first scene that actors block, as the captures hold them; None: not known yet."""
         self._exposures: dict[Hashable, Exposure] = {}
         """Exposure of each actor, by its key, estimated when it is first lit."""
         self._warned: set[int] = set()
@@ -162,7 +164,8 @@ class ActorLight:
                 1.0 - (1.0 - outside.get(id(light), 0.0)) * (1.0 - blocking.transmittance(light))
                 for light in captured_lights
             ]
-            total *= light_factors(light_shares(captured_lights, actor), np.array(passed), self.config.direct)
+            fractions = light_shares(captured_lights, actor, self.captured)
+            total *= light_factors(fractions, np.array(passed), self.config.direct)
         if exposure.sky > 0.0:
             total += np.float32(exposure.sky) * light_scales(sky, normals, transfer)
         for light, share in zip(self._lights, beyond, strict=True):

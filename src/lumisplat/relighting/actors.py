@@ -14,7 +14,7 @@ from lumisplat.config import AvatarLightingConfig
 from lumisplat.config.checks import check_range
 from lumisplat.constants import SH_C0, SHADOW_FOOTPRINT
 from lumisplat.errors import SceneError, check_instance
-from lumisplat.math.arrays import FloatArray, float_array
+from lumisplat.math.arrays import Doubles, FloatArray, float_array
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.progress import Progress
@@ -158,11 +158,19 @@ def shadow_strength(receivers: Gaussians, lights: Sequence[Light], transmittance
     return replace(white, sh=np.repeat((0.5 - lit)[..., None] / SH_C0, 3, axis=2).astype(np.float32))
 
 
-def light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:
+def light_shares(
+    lights: Sequence[Light], receivers: SplatInstance, captured: Sequence[Light] | None = None
+) -> FloatArray:
     """Returns each of L lights' fraction of the unshadowed irradiance at N Gaussians, shape (L, N, 3).
 
     Every Gaussian counts as facing every light, because normals of captures are unreliable. Fractions are 0 where no
     light arrives.
+
+    Args:
+        lights: The lights of the frame.
+        receivers: Instance of the Gaussians.
+        captured: The same lights as the capture holds them: one that is dimmer now has a smaller fraction, so that its
+            shadows fade with it. None, or only lights without power: as they are now.
 
     Raises:
         SceneError: One light is an environment, which has no position and thus no shadow map.
@@ -172,9 +180,25 @@ def light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArra
             raise SceneError(
                 "lights holds an environment, which has no deep shadow map: give lights with a position or direction"
             )
-    arriving = np.array([facing_irradiance(light, receivers.world_means) for light in lights])
+    before = np.array([_power(light) for light in captured or lights])
+    if before.shape != (len(lights), 3) or not before.any():
+        captured, before = None, np.array([_power(light) for light in lights])
+    arriving = np.array(
+        [
+            facing_irradiance(replace(now, intensity=held.intensity, color=held.color), receivers.world_means)
+            for now, held in zip(lights, captured or lights, strict=True)
+        ]
+    )
     total = arriving.sum(axis=0)
-    return np.divide(arriving, total, out=np.zeros_like(arriving), where=total > 0.0).astype(np.float32)
+    shares = np.divide(arriving, total, out=np.zeros_like(arriving), where=total > 0.0)
+    now = np.array([_power(light) for light in lights])
+    kept = np.minimum(np.divide(now, before, out=np.zeros_like(now), where=before > 0.0), 1.0)
+    return (kept[:, None] * shares).astype(np.float32)
+
+
+def _power(light: Light) -> Doubles:
+    """Returns a light's intensity times its colour, shape (3,)."""
+    return light.intensity * np.array(light.color, np.float64)
 
 
 def light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating], direct: float) -> FloatArray:
@@ -211,6 +235,7 @@ class ActorShadows:
         receivers: Instances of captures, which do not move.
         lights: At least one light, none of them an environment.
         meshes: Static casters besides the actors.
+        captured: The lights as the captures hold them, as for `light_shares`.
         config: Settings.
         device: As for `create_renderer`.
         progress: Called with a label and a fraction 0..1, while kernels compile.
@@ -222,11 +247,12 @@ class ActorShadows:
         lights: Sequence[Light],
         meshes: Sequence[MeshInstance],
         *,
+        captured: Sequence[Light] | None = None,
         config: AvatarLightingConfig,
         device: str = "auto",
         progress: Progress | None = None,
     ) -> None:
-        self._receivers, self._lights = list(receivers), tuple(lights)
+        self._receivers, self._lights, self._captured = list(receivers), tuple(lights), captured
         self._direct, self._radius = config.direct, config.shadow_map.region_radius
         # A map keeps its region around the first casters, but actors leave it: the radius is applied here instead.
         self._config = replace(config.shadow_map, region_radius=None)
@@ -235,7 +261,7 @@ class ActorShadows:
         self._maps: list[DeepShadowMap | None] = [None] * len(self._lights)
         """Deep shadow map of the actors for each light, rebuilt every frame. None: not built yet, or for a light that
         has moved since."""
-        self._shares = [light_shares(self._lights, receiver) for receiver in self._receivers]
+        self._shares = [light_shares(self._lights, receiver, self._captured) for receiver in self._receivers]
         self._origin = rendered_frame(Scene(self._receivers))[0].origin
         """World position of the local coordinates in which actors' Gaussians are stored as float32, shape (3,)."""
         self._means = [receiver.world_means for receiver in self._receivers]
@@ -257,7 +283,7 @@ class ActorShadows:
         before, self._lights = self._lights, tuple(lights)
         if before == self._lights:
             return True
-        self._shares = [light_shares(self._lights, receiver) for receiver in self._receivers]
+        self._shares = [light_shares(self._lights, receiver, self._captured) for receiver in self._receivers]
         for row, (old, new) in enumerate(zip(before, self._lights, strict=True)):
             if _source(old) != _source(new):
                 self._maps[row] = None

@@ -140,6 +140,7 @@ class AvatarLighter:
         self._actor_light = ActorLight(
             scene, given, self.config, background=background, device=device, progress=progress
         )
+        self._actor_light.captured = self.lights
         self._receivers = _receivers(scene, self._roles.uses_scene_lights)
         self._shadows: ActorShadows | None = None
         """Shadow maps of actors on the captures; None until a frame needs them."""
@@ -257,6 +258,7 @@ class AvatarLighter:
                 [sets[row] for row in self._receivers],
                 self._casting_lights(casting),
                 self.scene.meshes,
+                captured=self._actor_light.captured,
                 config=self.config,
                 device=self._device,
                 progress=self._progress,
@@ -272,7 +274,7 @@ class AvatarLighter:
             position = centroid(actors) if actors else np.mean(self.scene.bounds(), axis=0)
             # The lights give the fraction ``direct`` of the irradiance at the position.
             irradiance = self.config.direct * np.pi * _mean_luminance(self._probes.at(position))
-            self.lights = self._estimated_lights(position, irradiance)
+            self.lights = self._actor_light.captured = self._estimated_lights(position, irradiance)
         return self.lights
 
     def _estimated_lights(self, position: npt.NDArray[np.float64], irradiance: float) -> tuple[Light, ...]:
