@@ -564,25 +564,31 @@ def test_an_open_place_lights_figures_from_where_no_capture_is() -> None:
 
 
 def test_figures_are_in_the_shadow_of_each_other_and_of_themselves() -> None:
-    """Under a vertical sun a ball below another gets no sun, and the lower rim of a bowl's inside none past its rim."""
+    """Under a vertical sun a ball below another gets no sun, whether they are two actors or one."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     normals = puppet().gaussians.means / np.float32(0.4)
     upper = replace(puppet(), gaussians=replace(puppet().gaussians, normals=normals))
     pose = np.array(upper.transform)
     pose[1, 3] = -0.5
     lower = replace(upper, world_from_object=pose)
+    means = np.concatenate([puppet().gaussians.means + np.array([0.0, 1.5, 0.0], np.float32), puppet().gaussians.means])
+    joined = replace(captured(means, np.full(3, 0.6), opacity=0.95, scale=0.04), normals=np.tile(normals, (2, 1)))
     sun = sunny((0.0, -1.0, 0.0))
     lit = {}
     for shadows in (True, False):
         settings = config(relight=True, shadows=shadows)
-        stage = ls.AvatarLighter(scene, [sun], settings, background=(0.5, 0.5, 0.5), device="cpu")
-        placed = stage.light([upper, lower]).splats[1:]
-        lit[shadows] = [light_left(upper.gaussians, one.gaussians) for one in placed]
+        for actors in ([upper, lower], [ls.SplatInstance(joined, pose)]):
+            stage = ls.AvatarLighter(scene, [sun], settings, background=(0.5, 0.5, 0.5), device="cpu")
+            placed = stage.light(actors).splats[1:]
+            left = [light_left(old.gaussians, new.gaussians) for old, new in zip(actors, placed, strict=True)]
+            lit[shadows, len(actors)] = np.concatenate(left).reshape(2, -1)
     around = decode_srgb(np.array(0.5))
     facing = normals[:, 1] > 0.5
-    np.testing.assert_allclose(lit[False][1][facing], lit[False][0][facing], atol=5e-3)
-    np.testing.assert_allclose(lit[True][0][facing], lit[False][0][facing], atol=0.02)  # no acne
-    assert np.median(lit[True][1][facing]) < around + 0.03 and np.median(lit[False][1][facing]) > around + 0.3
+    for count in (2, 1):
+        shadowed, bare = lit[True, count][:, facing], lit[False, count][:, facing]
+        np.testing.assert_allclose(bare[1], bare[0], atol=5e-3)
+        np.testing.assert_allclose(shadowed[0], bare[0], atol=0.02)  # no acne
+        assert np.median(shadowed[1]) < around + 0.03 and np.median(bare[1]) > around + 0.3
 
 
 def test_figures_cast_no_shadows_of_a_light_that_the_scene_keeps_from_them() -> None:
