@@ -290,11 +290,14 @@ class _Blocking:
         self._means = actor.world_means
         self._lift = SHADOW_OFFSET * actor.scale * float(np.median(actor.gaussians.scales.max(axis=1)))
         self._found: dict[int, Doubles] = {}
+        self._cosines: dict[int, Doubles] = {}
 
     def cosines(self, light: Light) -> Doubles:
         """Returns the cosine between each normal and the direction to a light, at least 0, shape (N,)."""
-        directions, _ = _towards(light, self._means)
-        return np.maximum(np.einsum("ni,ni->n", self._normals, directions), 0.0)
+        if id(light) not in self._cosines:
+            directions, _ = _towards(light, self._means)
+            self._cosines[id(light)] = np.maximum(np.einsum("ni,ni->n", self._normals, directions), 0.0)
+        return self._cosines[id(light)]
 
     def transmittance(self, light: Light) -> Doubles:
         """Returns the transmittance of the casters from each Gaussian to a light, (N,); 1 for those that face away."""

@@ -224,6 +224,8 @@ def test_a_skeleton_in_other_units_or_elsewhere_is_refused_until_the_advice_is_f
         ({"weights": -np.ones((4, 3))}, "weights has -1, expected numbers of at least 0"),
         ({"weights": np.eye(4, 3)}, "weights of Gaussian 3 are all 0"),
         ({"count": 7}, "count is the number of new Gaussians"),
+        ({"count": some_gaussians(np.ones((4, 3)))}, "pass given ones as gaussians="),
+        ({"pose": 2.0}, "takes a pose of the rig, got a float: rig.pose_at(seconds) makes one"),
     ],
 )
 def test_bindings_that_do_not_fit_are_refused(arguments, message):

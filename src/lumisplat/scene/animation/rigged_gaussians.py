@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -255,6 +256,8 @@ def bind_gaussians(
             weights do not fit.
     """
     check_argument("bind_gaussians", rig, Rig, "a Rig of load_rig")
+    if isinstance(cast("object", count), Gaussians):
+        raise SceneError("bind_gaussians takes a number of new Gaussians: pass given ones as gaussians=")
     if gaussians is None:
         if weights is not None or triangles is not None or pose is not None:
             raise SceneError(
@@ -268,6 +271,8 @@ def bind_gaussians(
     check_argument("bind_gaussians", gaussians, Gaussians, "Gaussians")
     if count is not None:
         raise SceneError("bind_gaussians: count is the number of new Gaussians, but gaussians are given, too")
+    if pose is not None:
+        check_argument("bind_gaussians", pose, RigPose, "a pose of the rig", ": rig.pose_at(seconds) makes one")
     rest = RigPose(rig.skeleton.world_from_node(), {}) if pose is None else pose
     points = gaussians.means.astype(np.float64) + np.asarray(gaussians.origin)
     if triangles is not None:
