@@ -329,6 +329,18 @@ def test_actors_with_ground_true_stand_on_the_ground_at_every_keyframe(tmp_path:
             np.testing.assert_allclose(documents.scene(time).meshes[-1].transform, mesh.transform, atol=1e-9)
 
 
+def test_ground_true_stands_on_meshes_of_a_scene_without_captures(tmp_path: Path) -> None:
+    """A cone stands on a plane below it; other entries of such a scene stay where their files have them."""
+    scene_file(tmp_path, "")
+    plane = '[[meshes]]\nshape = "plane"\nsize = 8\nposition = [0, 0.4, 0]\n'
+    cones = '[[meshes]]\npath = "cone.obj"\n[[meshes]]\npath = "cone.obj"\nposition = [1, 0, 1]\nground = true\n'
+    file = tmp_path / "plane.toml"
+    file.write_text(f'up = "y-up"\n{plane}{cones}')
+    _, own, standing = loaded(file).meshes
+    np.testing.assert_array_equal(own.transform, np.eye(4))
+    assert standing.bounds()[0][1] == pytest.approx(0.4, abs=0.02)
+
+
 @pytest.mark.parametrize("kind", ["meshes", "actors"])
 def test_ground_true_without_any_ground_below_is_refused(tmp_path: Path, kind: str) -> None:
     """The line says what to give instead; numbers must be finite."""

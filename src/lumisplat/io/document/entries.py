@@ -139,8 +139,8 @@ class EntryReader:
             number: Id of the entry.
             kind: Kind of the entry.
             values: The table.
-            insertion_scene: Scene that the entry joins. None, or a scene without captures, leaves an entry without a
-                placement at the position that its file states.
+            insertion_scene: Non-empty scene, for `insert` and for the ground of ``ground = true``. None leaves an entry
+                without a placement at the position that its file states.
 
         Raises:
             FormatError: A key or value is invalid, or a file cannot be read.

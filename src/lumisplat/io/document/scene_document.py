@@ -38,7 +38,7 @@ from lumisplat.io.load_save import USD, holds_mesh
 from lumisplat.io.scene_toml.cameras import read_scene_cameras
 from lumisplat.io.scene_toml.config_file import changed_settings, read_config
 from lumisplat.io.scene_toml.materials import read_material_paths
-from lumisplat.io.scene_toml.placement import is_placed, scene_up, stand_placed_upright
+from lumisplat.io.scene_toml.placement import is_placed, scene_around, scene_up, stand_placed_upright
 from lumisplat.io.scene_toml.scene_file import animation_of, check_one_sky, read_document
 from lumisplat.io.scene_toml.toml_table import TomlTable, plain_value, toml_text
 from lumisplat.math.arrays import Doubles, matrix_4x4
@@ -518,7 +518,9 @@ def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEnt
     for number, (kind, table) in sorted(
         numbered, key=lambda one: one[1][0] in _INSERTED_KINDS and not is_placed(one[1][1])
     ):
-        insertion_scene = visible_scene(list(entries.values()), reader.up, 0.0)[0] if kind in _INSERTED_KINDS else None
+        insertion_scene = None
+        if kind in _INSERTED_KINDS:
+            insertion_scene = scene_around(table, visible_scene(list(entries.values()), reader.up, 0.0)[0])
         try:
             entries[number] = _read_entry(reader, number, kind, table, insertion_scene)
         except FormatError as error:

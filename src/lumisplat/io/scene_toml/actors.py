@@ -35,6 +35,7 @@ from lumisplat.io.scene_toml.placement import (
     insert_entry,
     is_placed,
     placement,
+    scene_around,
     scene_up,
     stand_upright,
 )
@@ -140,7 +141,7 @@ def read_actors(document: TomlTable, load: Load, scene: Scene) -> list[Actor]:
     subjects, up = Subjects(load), scene_up(document)
     actors: list[Actor] = []
     for table in document.tables("actors"):
-        actor = read_actor(table, subjects, up, scene)
+        actor = read_actor(table, subjects, up, scene_around(table.values, scene))
         if not table.values.get("hidden", False):
             actors.append(actor)
             scene = with_instances(scene, actor.at(0.0))
@@ -161,8 +162,8 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | 
         table: The entry.
         subjects: Cache that loads the files of actors.
         up: Unit vector that points up in the scene.
-        scene: Scene that the actor joins. An actor without a placement is inserted beside its captures; None, or a
-            scene without captures, leaves the actor where its file has it.
+        scene: Non-empty scene into which an actor without a placement is inserted, and on whose ground one with
+            ``ground = true`` stands. None leaves the actor where its file has it.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
@@ -171,7 +172,7 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | 
     world_from_file = placement(table, up)
     motion = _motion(table)
     subject = subjects.get(table, given)
-    if scene is not None and scene.splats and not is_placed(given) and subjects.has_y_up(table, given):
+    if scene is not None and not is_placed(given) and subjects.has_y_up(table, given):
         if motion is None:
             world_from_file = insert_entry(table, scene, Actor(subject).at(0.0), None)
         elif not any("rotation_wxyz" in frame.values for frame in table.tables("keyframes")):

@@ -207,13 +207,13 @@ class Assets:
 
         Args:
             table: The entry.
-            existing: Scene that the entry joins. An entry without a placement is inserted beside its captures; None, or
-                a scene without captures, leaves the entry where its file has it.
+            existing: Non-empty scene into which an entry without a placement is inserted, and on whose ground one with
+                ``ground = true`` stands. None leaves the entry where its file has it.
         """
         given, world_from_file = _read_entry(table, "meshes", self.up)
         assets = self._assets(table, "meshes", given)
         scene = self._part(table, given, assets[-1])
-        if existing is not None and existing.splats and (scene.meshes or scene.splats) and not is_placed(given):
+        if existing is not None and (scene.meshes or scene.splats) and not is_placed(given):
             world_from_file = insert_entry(table, existing, (*scene.meshes, *scene.splats), scene.up)
         lights = scene.lights if given.get("lights", True) else ()
         try:

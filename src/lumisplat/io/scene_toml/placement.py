@@ -188,6 +188,14 @@ def stand_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
     return matrix
 
 
+def scene_around(values: Mapping[str, Any], scene: Scene) -> Scene | None:
+    """Returns the scene into which an entry of a scene file is inserted, or on whose ground it stands; None: neither.
+
+    Entries are inserted beside captures alone; with ``ground = true`` they stand on meshes, too.
+    """
+    return scene if scene.splats or (scene.meshes and values.get("ground") is True) else None
+
+
 def found_ground(
     table: TomlTable, scene: Scene | None, placements: Sequence[Sequence[MeshInstance | SplatInstance]]
 ) -> list[float]:

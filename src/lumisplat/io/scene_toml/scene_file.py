@@ -50,7 +50,7 @@ from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_
 from lumisplat.io.scene_toml.config_file import read_settings
 from lumisplat.io.scene_toml.lights import read_environment, read_light, read_sun
 from lumisplat.io.scene_toml.materials import read_material_paths, read_materials
-from lumisplat.io.scene_toml.placement import keep_saved_positions, scene_up, stand_placed_upright
+from lumisplat.io.scene_toml.placement import keep_saved_positions, scene_around, scene_up, stand_placed_upright
 from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable, is_object
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
@@ -166,7 +166,7 @@ def _static_scene(document: TomlTable, load: Load) -> tuple[Scene, list[MovingLi
     captures = [entry for entry, table in splats if not table.values.get("hidden", False)]
     scene = Scene(splats=tuple(splat for entry in captures for splat in entry.splats), up=up)
     for table in document.tables("meshes"):
-        entry = assets.meshes(table, scene)
+        entry = assets.meshes(table, scene_around(table.values, scene))
         if not table.values.get("hidden", False):
             scene = replace(
                 scene,
