@@ -59,7 +59,7 @@ class SplatTiles:
     items: DeviceArray
     """Indices in ``splats`` of the splats that each tile lists, tile after tile."""
     ellipsoids: DeviceArray
-    """As in `ProjectedSplats`."""
+    """``SplatEllipsoid`` of each Gaussian of the scene; empty: pixels blend normals of splats."""
 
 
 class SplatRaster:
