@@ -41,6 +41,15 @@ def directions(skeleton: Skeleton, clip: Clip, time: float) -> np.ndarray:
     return bones / np.linalg.norm(bones, axis=1, keepdims=True)
 
 
+TURN = 1.2
+"""Angle about y by which `other_skeleton` faces another way than bodies, radians."""
+
+
+def from_other(vectors: np.ndarray) -> np.ndarray:
+    """Returns vectors of the space of `other_skeleton` in that of bodies, shape (N, 3)."""
+    return vectors @ matrices_from_quaternions(np.array([[np.cos(TURN / 2.0), 0.0, np.sin(TURN / 2.0), 0.0]]))[0]
+
+
 def middle_of_hips(skeleton: Skeleton, clip: Clip | None, time: float) -> np.ndarray:
     """Returns the point between the hip joints."""
     world, joints = skeleton.world_from_node(clip, time), human_joints(skeleton)
@@ -74,7 +83,7 @@ def other_skeleton(rig: Rig, seed: int = 5) -> tuple[Skeleton, Clip]:
         shoulder, elbow, wrist = (base.names.index(f"{side}_{limb}") for limb in ("shoulder", "elbow", "wrist"))
         for joint in (elbow, wrist, base.names.index(f"{side}_hand")):
             places[joint] = places[shoulder] + (0.0, -np.linalg.norm(places[joint] - places[shoulder]), 1.0)
-    turn = matrices_from_quaternions(np.array([[np.cos(0.6), 0.0, np.sin(0.6), 0.0]]))[0]
+    turn = from_other(np.eye(3))
     places = places @ turn.T + (0.0, 120.0, 0.0)
     axes = rng.standard_normal((len(names) + 1, 4))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -107,13 +116,13 @@ def test_limbs_point_as_in_the_motion_whatever_the_rest_poses_are(tmp_path: Path
     np.testing.assert_allclose(source.world_from_node()[1:, :3, 3].min(axis=0)[1], 4.0, atol=1e-6)
     done = retarget(source, clip, rig)
     for time in (0.0, 2.0 / 30.0, 4.0 / 30.0):
-        expected = directions(source, clip, time)
+        expected = from_other(directions(source, clip, time))
         np.testing.assert_allclose(directions(rig.skeleton, done.clip, time)[:-1], expected[:-1], atol=1e-9)
-        middle = middle_of_hips(source, clip, time) / 100.0
+        middle = from_other(middle_of_hips(source, clip, time)) / 100.0
         np.testing.assert_allclose(middle_of_hips(rig.skeleton, done.clip, time), middle, atol=0.004)
-    # The figure faces as in the motion: up to the slant of the hips, which the poses have, left is where left was.
+    # Where the motion faces as at rest, the figure does.
     np.testing.assert_allclose(
-        directions(rig.skeleton, done.clip, 0.0)[-1], directions(source, clip, 0.0)[-1], atol=1e-6
+        directions(rig.skeleton, done.clip, 0.0)[-1], from_other(directions(source, clip, 0.0))[-1], atol=1e-6
     )
 
 
@@ -133,7 +142,7 @@ def test_motion_of_a_skeleton_that_does_not_stand_at_rest_is_relative_to_its_fir
     chest = rig.skeleton.world_from_node(done.clip, 0.0)[rig.skeleton.names.index("spine3")]
     np.testing.assert_allclose(chest[:3, 1], [0.0, 1.0, 0.0], atol=1e-9)  # upright, as the first frame
     for time in (0.0, 4.0 / 30.0):
-        expected = directions(upended, clip, time)
+        expected = from_other(directions(upended, clip, time))
         np.testing.assert_allclose(directions(rig.skeleton, done.clip, time)[:-1], expected[:-1], atol=1e-9)
 
 
@@ -223,6 +232,22 @@ def test_hips_move_as_in_a_motion_whose_root_above_them_turns_and_moves() -> Non
     for time in (0.0, 1.0):
         expected = rig.skeleton.world_from_node(clip, time)[1:]
         np.testing.assert_allclose(rig.skeleton.world_from_node(done.clip, time)[1:], expected, atol=1e-9)
+
+
+def test_feet_stand_flat_on_the_ground_though_the_skeleton_rests_with_spread_legs(tmp_path: Path) -> None:
+    """As in CMU's files: legs rest 20 degrees apart, with feet tilted as much, and the motion closes them."""
+    rig = ls.avatars.load_rig(body_file(tmp_path / "smpl.npz", "SMPL"))
+
+    def row(lift: int) -> str:
+        return f"7 -3 9 0 0 0  0 0 0  0 0 0  -20 {-lift} 0  0 {lift} 0  0 0 0  20 0 0  0 0 0  0 0 0\n"
+
+    (tmp_path / "close.bvh").write_text(person_bvh(row(0) + row(0) + row(40) + row(0), spread=20.0))
+    done = ls.avatars.load_motion(tmp_path / "close.bvh", rig)
+    rest, lowest = rig.skeleton.world_from_node(), min(mesh.positions[:, 1].min() for mesh in rig.meshes)
+    world = done.skeleton.world_from_node(done.animations[0], 0.0)
+    for foot in (rig.skeleton.names.index(f"{side}_ankle") for side in ("left", "right")):
+        np.testing.assert_allclose(world[foot, :3, :3], rest[foot, :3, :3], atol=1e-6)
+        np.testing.assert_allclose(world[foot, 1, 3], rest[foot, 1, 3] - lowest, atol=1e-6)
 
 
 def directions_of_legs(skeleton: Skeleton, clip: Clip) -> np.ndarray:

@@ -102,14 +102,24 @@ def pose_file(path: Path, model: str, frames: int = 3, seed: int = 1, **changes:
     return path
 
 
-def person_bvh(rows: str) -> str:
-    """Returns a BVH file of a person in inches with hips, a chest and legs, whose root has three rotations."""
+def person_bvh(rows: str, spread: float = 0.0) -> str:
+    """Returns a BVH file of a person in inches with hips, a chest and legs, whose root has three rotations.
+
+    Args:
+        rows: Lines of channels, one every 0.5 s.
+        spread: Angle of each leg, with its foot, to the vertical at rest, degrees.
+    """
     turns = "CHANNELS 3 Zrotation Xrotation Yrotation\n"
 
     def leg(side: str, x: float) -> str:
+        angle = np.radians(np.copysign(spread, x))
+
+        def offset(down: float, ahead: float = 0.0) -> str:
+            return f"OFFSET {down * np.sin(angle)} {-down * np.cos(angle)} {ahead}\n"
+
         return (
-            f"JOINT {side}Hip\n{{\nOFFSET {x} -2 0\n{turns}JOINT {side}Knee\n{{\nOFFSET 0 -17 0\n{turns}"
-            f"JOINT {side}Ankle\n{{\nOFFSET 0 -16 0\n{turns}End Site\n{{\nOFFSET 0 -2 4\n}}\n}}\n}}\n}}\n"
+            f"JOINT {side}Hip\n{{\nOFFSET {x} -2 0\n{turns}JOINT {side}Knee\n{{\n{offset(17.0)}{turns}"
+            f"JOINT {side}Ankle\n{{\n{offset(16.0)}{turns}End Site\n{{\n{offset(2.0, 4.0)}}}\n}}\n}}\n}}\n"
         )
 
     return (
@@ -117,5 +127,5 @@ def person_bvh(rows: str) -> str:
         "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
         f"JOINT Chest\n{{\nOFFSET 0 5 0\n{turns}End Site\n{{\nOFFSET 0 10 0\n}}\n}}\n"
         f"JOINT Tail\n{{\nOFFSET 0 0 -1\n{turns}}}\n{leg('Left', 4.0)}{leg('Right', -4.0)}}}\n"
-        f"MOTION\nFrames: 2\nFrame Time: 0.5\n{rows}"
+        f"MOTION\nFrames: {rows.count(chr(10))}\nFrame Time: 0.5\n{rows}"
     )

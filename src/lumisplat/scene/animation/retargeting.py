@@ -1,9 +1,10 @@
 """Moves a clip from one human skeleton to another, whose joints have other names, axes, lengths and rest poses.
 
 Joints are matched by names of known programs. A joint of the target has the world rotation of its match relative to a
-reference pose of the source, applied to the target's rest pose, which is first aligned with that reference: the figure
-faces the same way, and upper arms, forearms, thighs, shins and fingers point the same way. So a T-pose may drive an
-A-pose. The middle of the hips moves as in the source, scaled by the length of the legs.
+reference pose of the source, applied to the target's rest pose, which is first aligned with that reference: upper arms,
+forearms, thighs, shins and fingers point the same way. So a T-pose may drive an A-pose. Feet stand flat where those of
+the source stand. The middle of the hips moves as in the source, scaled by the length of the legs. The motion is then
+turned about y, so that the reference faces as the target does at rest, and lifted so that its soles stand at y = 0.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
@@ -56,6 +58,12 @@ _BONES = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
 _LEGS = tuple(f"{side}_{limb}" for side in _SIDES for limb in ("hip", "knee", "ankle"))
 _STANDING_MIN = 0.5
 """A skeleton stands at rest if its legs point down with at least this cosine."""
+_STANCE_HEIGHT = 0.02
+"""A foot stands while its ankle is at most this many leg lengths above its lowest heights."""
+_STANCE_SPEED = 0.2
+"""A foot stands while its ankle moves up or down by at most this many leg lengths a second."""
+_TILT_MIN = math.radians(8.0)
+"""Feet that the reference tilts by less than this angle count as flat."""
 _STEP = 1.0 / 30.0
 """Time between further keys, seconds, of clips with gaps of twice that: world rotations interpolate otherwise."""
 
@@ -175,7 +183,7 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig) -> Retargeted:
     is_standing = _stands(rest, theirs)
     reference = rest if is_standing else np.stack([motion.world(node)[0] for node in range(len(rest))])
     return Retargeted(
-        Clip(clip.name, tuple(_tracks(motion, matched, reference, target, ours))),
+        Clip(clip.name, tuple(_tracks(motion, matched, reference, rig, ours))),
         sorted({source.names[node] for node in animated} - {source.names[node] for node in matched.values()}),
         sorted(target.names[node] for name, node in ours.items() if name not in theirs),
         not is_standing,
@@ -188,20 +196,22 @@ def _stands(world: Doubles, joints: dict[str, int]) -> bool:
 
 
 def _tracks(
-    motion: _Motion, matched: dict[str, int], reference: Doubles, target: Skeleton, ours: dict[str, int]
+    motion: _Motion, matched: dict[str, int], reference: Doubles, rig: Rig, ours: dict[str, int]
 ) -> list[Track]:
-    """Returns tracks of the target's joints, from world rotations of the matched source joints.
+    """Returns tracks of the rig's joints, from world rotations of the matched source joints.
 
     Args:
         motion: The source at T times.
-        matched: Nodes of the source by joint, only joints that the target has.
+        matched: Nodes of the source by joint, only joints that the rig has.
         reference: ``world_from_node`` of the source in its reference pose, shape (N, 4, 4).
-        target: Skeleton to move.
-        ours: Nodes of the target by joint.
+        rig: Rig to move.
+        ours: Nodes of the rig by joint.
     """
+    target = rig.skeleton
     rest = target.world_from_node()
     rest_rotations, reference_rotations = _rotations(rest), _rotations(reference)
     facing = _turn_about_y(_leftwards(rest, ours), _leftwards(reference, matched))
+    stances = {side: _stance(motion, matched, side) for side in _SIDES}
     joints = {ours[joint]: joint for joint in matched}
     worlds: dict[int, Doubles] = {}
     aligned: dict[int, Doubles] = {}
@@ -215,10 +225,14 @@ def _tracks(
             worlds[node] = above @ (rest_above.T @ rest_rotations[node])
             continue
         joint = joints[node]
-        aligned[node] = _alignment(joint, aligned[node], facing, (rest, ours), (reference, matched))
         theirs = matched[joint]
         turns = _rotations(motion.world(theirs)) @ reference_rotations[theirs].T
-        worlds[node] = turns @ aligned[node] @ rest_rotations[node]
+        side, _, limb = joint.rpartition("_")
+        if limb in ("ankle", "foot"):
+            aligned[node] = _tilt(turns[stances[side]]) @ facing
+        else:
+            aligned[node] = _alignment(joint, aligned[node], (rest, ours), (reference, matched))
+        worlds[node] = facing.T @ turns @ aligned[node] @ rest_rotations[node]
         local = np.swapaxes(above, 1, 2) @ worlds[node]
         keys = np.asarray(quaternions_from_matrices(local), np.float64)
         tracks.append(Track(node, Channel.ROTATION, Interpolation.LINEAR, motion.times, keys))
@@ -226,28 +240,61 @@ def _tracks(
     scale = _leg_length(rest, ours) / _leg_length(reference, matched)
     left, right = (motion.world(matched[f"{side}_hip"])[:, :3, 3] for side in _SIDES)
     turned = worlds[pelvis] @ rest_rotations[pelvis].T
-    positions = scale * (left + right) / 2.0 - turned @ (_hips(rest, ours) - rest[pelvis, :3, 3])
+    positions = scale * (left + right) / 2.0 @ facing - turned @ (_hips(rest, ours) - rest[pelvis, :3, 3])
+    moved = _Motion(target, {(track.node, track.channel): track for track in tracks}, motion.times)
+    lowest = min((mesh.positions[:, 1].min() for mesh in rig.meshes), default=rest[list(joints), 1, 3].min())
+    soles: list[Doubles] = []
+    for side, stands in stances.items():
+        ankle = ours[f"{side}_ankle"]
+        above_sole = rest[ankle, 1, 3] - lowest
+        heights = positions[:, 1] + moved.world(ankle)[:, 1, 3] - moved.world(pelvis)[:, 1, 3]
+        soles.append(heights[stands] - above_sole)
+    standing = np.concatenate(soles)
+    if standing.size:
+        positions[:, 1] -= np.median(standing)
     parent = target.parents[pelvis]
     if parent is not None:
-        moved = _Motion(target, {(track.node, track.channel): track for track in tracks}, motion.times)
         positions = transform_points_each(np.linalg.inv(moved.world(parent)), positions)
-    tracks.append(Track(pelvis, Channel.TRANSLATION, Interpolation.LINEAR, motion.times, positions))
-    return tracks
+    return [*tracks, Track(pelvis, Channel.TRANSLATION, Interpolation.LINEAR, motion.times, positions)]
+
+
+def _stance(motion: _Motion, joints: dict[str, int], side: str) -> npt.NDArray[np.bool_]:
+    """Returns at which of the T times a foot stands: its ankle is low, rests, and is far below the hip; shape (T,)."""
+    hip, knee, ankle = (motion.world(joints[f"{side}_{limb}"])[:, :3, 3] for limb in ("hip", "knee", "ankle"))
+    leg = float(np.median(np.linalg.norm(hip - knee, axis=1) + np.linalg.norm(knee - ankle, axis=1)))
+    height = ankle[:, 1]
+    speed = np.gradient(height, motion.times) if height.size > 1 else np.zeros(1)
+    is_low = height <= np.percentile(height, 2.0) + _STANCE_HEIGHT * leg
+    return is_low & (np.abs(speed) <= _STANCE_SPEED * leg) & (hip[:, 1] - height >= _STANDING_MIN * leg)
+
+
+def _tilt(turns: Doubles) -> Doubles:
+    """Returns the rotation, shape (3, 3), that the reference of a foot needs in order to stand flat.
+
+    Some skeletons rest with spread legs, and feet that are tilted with them.
+
+    Args:
+        turns: World rotations of the foot relative to the reference while it stands, shape (S, 3, 3).
+    """
+    if not len(turns):
+        return np.eye(3)
+    up = np.median(turns[:, 1], axis=0)  # the vertical in the reference: y by the inverse turn
+    up /= np.linalg.norm(up)
+    vertical = np.array([0.0, 1.0, 0.0])
+    return rotation_between(vertical, up) if up[1] < math.cos(_TILT_MIN) else np.eye(3)
 
 
 _Posed = tuple[Doubles, dict[str, int]]
 """``world_from_node`` of a pose, shape (N, 4, 4), and the nodes by joint."""
 
 
-def _alignment(joint: str, inherited: Doubles, facing: Doubles, ours: _Posed, theirs: _Posed) -> Doubles:
+def _alignment(joint: str, inherited: Doubles, ours: _Posed, theirs: _Posed) -> Doubles:
     """Returns the world rotation that aligns a joint of the target at rest with the source's reference, shape (3, 3).
 
-    Bones of limbs get the smallest rotation, after that of their parent, to the direction of the source. Feet keep the
-    angle to the ground of the target's rest pose. Other joints are aligned as their parents.
+    Bones of limbs get the smallest rotation, after that of their parent, to the direction of the source. Other joints
+    are aligned as their parents.
     """
     side, _, limb = joint.rpartition("_")
-    if limb in ("ankle", "foot"):
-        return facing
     is_finger = limb[-1:] in ("1", "2") and side in _SIDES
     end = f"{side}_{limb[:-1]}{int(limb[-1]) + 1}" if is_finger else f"{side}_{_BONES.get(limb)}"
     if end not in theirs[1] or end not in ours[1]:
