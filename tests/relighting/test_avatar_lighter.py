@@ -530,10 +530,19 @@ def test_probe_of_an_actor_includes_the_background_radiance() -> None:
     assert decode_srgb(np.array(colors[1])) == pytest.approx(0.6, abs=0.01)
 
 
-def brightness(captured_at: float, place: float) -> float:
-    """Returns the mean linear brightness of a relit ball captured in one light, above a floor seen in another."""
+def brightness(captured_at: float, place: float, albedo: float | None = None) -> float:
+    """Returns the mean linear brightness of a relit ball captured in one light, above a floor seen in another.
+
+    Args:
+        captured_at: Brightness of the ball's capture, relative to 0.8.
+        place: Light above the floor.
+        albedo: Albedo that the ball stores; None: none.
+    """
     ground = captured(floor().means, np.full(3, 0.8 * place), scale=0.1)
     ball = replace(puppet(), gaussians=captured(puppet().gaussians.means, np.full(3, 0.8 * captured_at), scale=0.04))
+    if albedo is not None:
+        stored = np.full((ball.gaussians.count, 3), albedo, np.float32)
+        ball = replace(ball, gaussians=replace(ball.gaussians, albedo=stored))
     stage = lighter(ls.Scene(splats=[ground]), relight=True, transfer=ls.config.RelightConfig(), lights_on_actors=False)
     return float(decode_srgb(stage.light([ball]).splats[1].gaussians.sh[:, 0] * SH_C0 + 0.5).mean())
 
@@ -548,6 +557,17 @@ def test_a_relit_figure_is_as_bright_as_its_surroundings_make_a_card_of_its_albe
     assert "to match its surroundings (light there 1, in its own capture 0.8, display white 1)" in caplog.text
     assert brightness(0.35, 1.0) == pytest.approx(brightness(0.5, 1.0), rel=0.02)
     assert brightness(0.5, 0.3) == pytest.approx(0.3 * brightness(0.5, 1.0), rel=0.02)
+
+
+def test_a_relit_figure_of_known_albedo_is_as_bright_as_its_surroundings_make_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A figure made of a dark mesh stays dark, and one whose capture was in shadow is lit by the place alone."""
+    grey = brightness(0.5, 1.0)  # of an albedo taken to be 0.5
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        assert brightness(0.125, 0.6, albedo=0.1) == pytest.approx(0.6 * grey * 0.1 / 0.5, rel=0.02)
+    assert "(light there 0.6, in its own capture 1, display white 1)" in caplog.text
+    assert brightness(0.125, 0.6, albedo=0.4) == pytest.approx(0.6 * grey * 0.4 / 0.5, rel=0.02)
 
 
 def test_an_open_place_lights_figures_from_where_no_capture_is() -> None:

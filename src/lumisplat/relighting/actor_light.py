@@ -40,8 +40,8 @@ ACTOR_ALBEDO_HIGH = 0.5
 paint of `ALBEDO_HIGH`."""
 
 CAPTURED_LIGHT_MIN = 0.5
-"""Smallest light in which an actor is taken to have been captured, as irradiance over pi in units of display white: an
-actor may have no light surfaces. The largest is 1: cameras expose so."""
+"""Smallest light in which an actor of unknown albedo is taken to have been captured, as irradiance over pi in units of
+display white: it may have no light surfaces. The largest is 1: cameras expose so."""
 
 AROUND_REACH = 3.0
 """Radius, in diagonals of an actor's box, within which surfaces tell the light at its position."""
@@ -58,7 +58,10 @@ SKY_MAX = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """Light in which an actor was captured, and the light at its position; both from their lightest surfaces."""
+    """Light in which an actor was captured, and the light at its position; both from their lightest surfaces.
+
+    If the albedo of an actor is known, that tells the light in which it was captured.
+    """
 
     captured: float
     """Irradiance over pi of the actor in its capture, in units of display white."""
@@ -234,7 +237,7 @@ class ActorLight:
         """
         if self.config.transfer.gamma is not None:
             return Exposure(1.0, 1.0, 0.0, self.config.transfer.gamma)
-        captured = float(np.clip(_lightest(actor.gaussians), CAPTURED_LIGHT_MIN, 1.0))
+        captured = _captured_light(actor.gaussians)
         around = self._light_around(actor, center)
         weights = np.array(LUMINANCE)
         held = max(float(SH_C0 * probe.coefficients[0] @ weights), 0.0)
@@ -350,7 +353,16 @@ def _colors_and_areas(gaussians: Gaussians, scale: float, rows: npt.NDArray[np.b
     return decode_srgb(colors).max(axis=1), wide[:, 1] * wide[:, 2] * gaussians.opacities[rows]
 
 
-def _lightest(gaussians: Gaussians) -> float:
-    """Returns the irradiance over pi that gives the lightest surfaces of Gaussians a typical albedo."""
+def _captured_light(gaussians: Gaussians) -> float:
+    """Returns the irradiance over pi in which an actor was captured, in units of display white.
+
+    It is the mean ratio of its colours to its albedo, which actors made of meshes have. Without an albedo, the lightest
+    surfaces are taken to have a typical one.
+    """
     colors, areas = _colors_and_areas(gaussians, 1.0, np.ones(gaussians.count, bool))
-    return weighted_quantile(colors, areas, LIGHTEST) / ACTOR_ALBEDO_HIGH if areas.any() else 1.0
+    if not areas.any():
+        return 1.0
+    if gaussians.albedo is None:
+        return float(np.clip(weighted_quantile(colors, areas, LIGHTEST) / ACTOR_ALBEDO_HIGH, CAPTURED_LIGHT_MIN, 1.0))
+    reflected = float(areas @ gaussians.albedo.max(axis=1))
+    return max(float(areas @ colors), 1e-3) / reflected if reflected > 0.0 else 1.0

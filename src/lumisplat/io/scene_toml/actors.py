@@ -73,7 +73,7 @@ ACTOR_KEYS = {
     "ground": NUMBER_OR_FLAG.about(
         "Height along up of its lowest point over its clip, at each keyframe; true: that of the ground below it."
     ),
-    "name": TEXT.about("Name of its instances."),
+    "name": TEXT.about("Name of its instances. Default: that of the file, or of its meshes."),
     "form": TEXT.about('Form of a rig or mesh: `"gaussians"` (default) or `"mesh"`.'),
     "count": WHOLE.about("Number of Gaussians of a rig or mesh. Default: neighbours are 1/300 of its size apart."),
     "vertex_colors": FLAG.about("Multiplies the colours of a rig by COLOR_0. Default: true."),
@@ -178,6 +178,8 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | 
         elif not any("rotation_wxyz" in frame.values for frame in table.tables("keyframes")):
             world_from_file = stand_upright(table, up)
     settings = {key: given[key] for key in ("name", "clip", "loop", "speed", "casts_shadow", "relight") if key in given}
+    if not isinstance(subject, Mesh | Rig | Scene):  # their meshes have names
+        settings.setdefault("name", table.file("path").stem)
     try:
         actor = Actor(subject, motion, world_from_file, **settings)
         return actor if table.values.get("ground", False) is False else _on_ground(table, actor, up, scene)
