@@ -59,7 +59,7 @@ NAN = float("nan")
     [
         ({"times": []}, "times is empty"),
         ({"times": [0.0, NAN]}, "times has 1 non-finite values out of 2"),
-        ({"times": [0.0, 2.0, 1.0]}, r"times must increase, but 1 follows 2 \(keyframe 2\)"),
+        ({"times": [0.0, 2.0, 1.0]}, r"times must increase, but 1 follows 2 \(key 2\)"),
         ({"times": [0.0, 0.0]}, "times must increase, but 0 follows 0"),
         ({"times": [0.0], "positions": [[0.0, NAN, np.inf]]}, "positions has 2 non-finite values"),
         ({"times": [0.0], "positions": [0.0, 1.0, 2.0]}, "positions has shape"),

@@ -6,7 +6,7 @@ import csv
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
@@ -16,9 +16,6 @@ from lumisplat.cli.options.camera import ViewpointGroup, ViewpointOptions
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand, own_options_first, setting
 from lumisplat.cli.output.console import counted, print_columns, progress_bars
 from lumisplat.cli.output.images import check_folder
-
-if TYPE_CHECKING:
-    from lumisplat.math.arrays import Doubles
 
 _HEADER = ("hit", "t", "alpha", "transmittance", "gaussian", "capture")
 
@@ -62,7 +59,7 @@ class Profile(LoadingCommand, DeviceCommand):
         with progress_bars() as report:
             scene = self.viewpoint.upright(self.load_scene(self.scene, report))
         camera = self._camera(scene)
-        origin, direction = _ray(camera, *self._pixel(camera))
+        origin, direction = camera.pixel_ray(*self._pixel(camera))
         config = scene_settings(scene_file(self.scene))
         hits = ls.trace_rays(scene, origin, [direction], config, device=self.device, profile=True)
         assert hits.profile is not None
@@ -110,21 +107,6 @@ class Profile(LoadingCommand, DeviceCommand):
         if not (0 <= x < width and 0 <= y < height):
             raise ls.ConfigError(f"--pixel is {self.pixel}, expected X,Y from 0,0 to {width - 1},{height - 1}")
         return x, y
-
-
-def _ray(camera: ls.Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
-    """Returns the world-space origin and unit direction of a pixel's ray.
-
-    Raises:
-        ConfigError: The pixel has no ray, at the edge of a fisheye or distorted image.
-    """
-    along, turn = camera.ray_directions()[y, x], camera.camera_from_world[:3, :3]
-    if not along.any():
-        raise ls.ConfigError(f"pixel {x},{y} has no ray: the lens shows nothing there")
-    if camera.model is not ls.CameraModel.ORTHOGRAPHIC:
-        return camera.eye, along @ turn
-    right, down = (x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy
-    return camera.eye + right * turn[0] + down * turn[1], along @ turn
 
 
 def _rows(profile: ls.rays.RayProfile) -> list[list[str]]:

@@ -60,8 +60,8 @@ class GaussianSequence:
     """Function that reads the Gaussians of one frame from its file."""
     _cache: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict[int, Gaussians], init=False)
     """Last used frames, at most `SEQUENCE_FRAMES_KEPT`, by frame number; the most recently used one is last."""
-    _notes: list[str] = field(default_factory=list[str], init=False)
-    """Log lines about the sequence that were written."""
+    _said_reordered: bool = field(default=False, init=False)
+    """Whether the log line about frames in different orders was written."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paths", tuple(self.paths))
@@ -102,12 +102,13 @@ class GaussianSequence:
         first, second = self._frame(index), self._frame(index + 1)
         if correspond(first, second):
             return interpolated(first, second, share)
-        if first.count == second.count and not self._notes:
-            self._notes.append(
-                f"frames in {self.paths[0].parent} hold their Gaussians in different orders, so that nothing can be "
-                "interpolated: each frame is shown until the next one"
+        if first.count == second.count and not self._said_reordered:
+            object.__setattr__(self, "_said_reordered", True)
+            _log.warning(
+                "frames in %s hold their Gaussians in different orders, so that nothing can be interpolated: each is "
+                "shown until the next one",
+                self.paths[0].parent,
             )
-            _log.warning("%s", self._notes[0])
         return first
 
     def _frame(self, index: int) -> Gaussians:

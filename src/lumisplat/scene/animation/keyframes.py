@@ -35,8 +35,8 @@ class Keyframes:
     """Uniform scale factors, above 0, shape (K,); None: 1."""
 
     def __post_init__(self) -> None:
-        times = finite_array("times", self.times, np.float64)
-        count = times.size
+        count = np.size(self.times)
+        times = checked_times(self.times, count)
         rest = {
             "positions": np.zeros((count, 3)),
             "rotations_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
@@ -53,12 +53,6 @@ class Keyframes:
             rotations_wxyz=(values["rotations_wxyz"], "K 4"),
             scales=(values["scales"], "K"),
         )
-        if count == 0:
-            raise SceneError("times is empty: expected at least one keyframe")
-        falls = np.flatnonzero(np.diff(times) <= 0.0)
-        if falls.size:
-            k = int(falls[0])
-            raise SceneError(f"times must increase, but {times[k + 1]:g} follows {times[k]:g} (keyframe {k + 1})")
         if not (values["scales"] > 0.0).all():
             raise SceneError(f"scales has {values['scales'].min():g}, expected positive numbers")
         lengths = np.linalg.norm(values["rotations_wxyz"], axis=1, keepdims=True)
@@ -113,8 +107,10 @@ def checked_times(times: npt.ArrayLike, count: int) -> Doubles:
         SceneError: There is no key, a time is not finite, their number differs, or they do not increase.
     """
     checked = finite_array("times", times, np.float64)
-    if count == 0 or checked.shape != (count,):
-        raise SceneError(f"times has shape {checked.shape}, expected one time for each of {count} keys, at least one")
+    if count == 0:
+        raise SceneError("times is empty: expected at least one key")
+    if checked.shape != (count,):
+        raise SceneError(f"times has shape {checked.shape}, expected one time for each of {count} keys")
     falls = np.flatnonzero(np.diff(checked) <= 0.0)
     if falls.size:
         k = int(falls[0])

@@ -110,7 +110,7 @@ class RayPanel:
 
     def follow(self, frame: ls.Frame, across: float, down: float) -> None:
         """Plots the ray of a clicked point if the checkbox is on; arguments are as for `picked`."""
-        if self._is_on.value and not frame.camera.is_distorted:
+        if self._is_on.value:
             self._do(self._steps(frame.camera, across, down))
 
     def _hide(self) -> None:
@@ -119,13 +119,11 @@ class RayPanel:
 
     def _steps(self, camera: ls.Camera, across: float, down: float) -> Generator[None]:
         yield
-        directions = camera.ray_directions()
-        height, width = directions.shape[:2]
-        along = directions[min(int(down * height), height - 1), min(int(across * width), width - 1)]
-        config = self._session.state.config
-        turned = along @ camera.camera_from_world[:3, :3]
+        width, height = camera.image_size
         try:
-            hits = ls.trace_rays(self._session.scene, camera.eye, [turned], config, device=self._device, profile=True)
+            origin, along = camera.pixel_ray(min(int(across * width), width - 1), min(int(down * height), height - 1))
+            config = self._session.state.config
+            hits = ls.trace_rays(self._session.scene, origin, [along], config, device=self._device, profile=True)
         except ls.LumisplatError as error:
             self._session.report(str(error))
             return
