@@ -10,6 +10,7 @@ import codecs
 import logging
 import os
 import re
+import shlex
 import zipfile
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
@@ -142,9 +143,7 @@ def check_layers(path: Path, text: str) -> list[Any]:
     waiting, checked, layers = [path], {os.path.abspath(path)}, list[Any]()
     while waiting:
         if len(checked) > USD_LAYERS_MAX:
-            raise FormatError(
-                path, f"is composed of more than {USD_LAYERS_MAX:,} layers: flatten it with usdcat --flatten"
-            )
+            raise FormatError(path, f"is composed of more than {USD_LAYERS_MAX:,} layers: {_flattening(path)}")
         file = waiting.pop()
         if not file.exists():
             continue  # the stage is composed without the layer, and a remark reports it
@@ -204,18 +203,25 @@ def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
     if px.Sdf.VariableExpression.IsExpression(name):
         raise FormatError(
             path,
-            f"names a file by the expression {name[:200]}, which is not supported: flatten it with usdcat --flatten",
+            f"names a file by the expression {name[:200]}, which is not supported: {_flattening(path)}",
         )
     name, arguments = px.Sdf.Layer.SplitIdentifier(name)
     if arguments:
         raise FormatError(
             path,
-            f"names the layer {name[:200]!r} with arguments, which is not supported: flatten it with usdcat --flatten",
+            f"names the layer {name[:200]!r} with arguments, which is not supported: {_flattening(path)}",
         )
     found = px.Sdf.ComputeAssetPathRelativeToLayer(layer, name)
     if px.Ar.IsPackageRelativePath(found):
         found = px.Ar.SplitPackageRelativePathOuter(found)[0]
     return referenced_file(path, found or name, home)
+
+
+def _flattening(path: Path) -> str:
+    """Returns advice for error messages: the command that writes a stage as one layer, which names no others."""
+    files = " ".join(shlex.quote(os.fspath(file)) for file in (path, path.with_name(f"{path.stem}_flat.usdc")))
+    program = "import sys; from pxr import Usd; Usd.Stage.Open(sys.argv[1]).Export(sys.argv[2])"
+    return f'flatten it by python -c "{program}" {files}'
 
 
 def check_loaded(path: Path) -> None:
