@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ CAST = "shadowmap @mesh.obj --onto @capture.ply --device cpu"
 
 @pytest.fixture
 def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workspace:
-    """Returns a folder with a capture, one that is NaN in part, cameras, a mesh, scene files and an environment."""
+    """Returns a folder with captures, one of them in blocks, cameras, a mesh, scene files and an environment."""
     monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
     workspace = Workspace(tmp_path, capsys)
     frame = ls.render(
@@ -43,6 +44,7 @@ def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
     data[-4:] = np.float32(np.nan).tobytes()
     workspace.path("nan.ply").write_bytes(data)
     (tmp_path / "inner").mkdir()
+    assert workspace.run("blocks", "@capture.ply", "-o", "@blocks").status == 0
     workspace.path("near.obj").write_text("v -0.1 -0.1 1\nv 0.1 -0.1 1\nv 0 0.1 1\nf 1 2 3\n")
     workspace.path("a.mtl").write_text("newmtl red\nKd 1 0 0\n")
     workspace.path("inner/a.obj").write_text("mtllib ../a.mtl\nv -1 -1 4\nv 1 -1 4\nv 0 1 4\nusemtl red\nf 1 2 3\n")
@@ -137,6 +139,7 @@ def gone(work: Workspace, line: str, pattern: str, *, drops: bool) -> Outcome:
         ),
         ("evaluate @none.ply @images --samples 4", r"need (--materials)"),
         ("fit @capture.ply @left.png -o @f.toml", r"no cameras given: (--cameras) FILE"),
+        ("blocks @capture.ply", r"is missing, .* (-o) FOLDER"),
     ],
 )
 def test_options_that_an_error_advises_to_add_remove_the_error(work: Workspace, line: str, pattern: str) -> None:
@@ -157,6 +160,8 @@ def test_options_that_an_error_advises_to_add_remove_the_error(work: Workspace, 
             r"(--save-environment) and --inside yes exclude",
         ),
         ("convert @capture.ply @b.ply --incident", r"leave out (--incident)"),
+        ("blocks @capture.ply -o @b --cameras @cameras.json", r"leave out (--cameras)"),
+        ("blocks @blocks --plan --cameras @cameras.json -o @b", r"and no (-o)"),
         ("train @images -o @o.ply --relightable --exposures", r"leave out (--exposures)"),
         (
             "fit @capture.ply @left.png -o @f.toml --cameras @none.json --no-intensities --keep-hues",
@@ -170,6 +175,21 @@ def test_options_that_an_error_advises_to_add_remove_the_error(work: Workspace, 
 def test_options_that_an_error_advises_to_leave_out_remove_the_error(work: Workspace, line: str, pattern: str) -> None:
     """Of two options that exclude each other, either may go."""
     gone(work, line, pattern, drops=True)
+
+
+def test_each_error_of_blocks_with_plan_names_what_the_next_command_has(work: Workspace) -> None:
+    """First a folder in blocks, then the cameras."""
+    for line, problem in (
+        ("blocks @capture.ply --plan", "needs one folder that lumisplat blocks has written"),
+        ("blocks @blocks --plan", "needs --cameras FILE"),
+        ("blocks @blocks --plan --cameras @cameras.json", ""),
+    ):
+        outcome = work.run(*line.split())
+        assert problem in outcome.err and (outcome.status == 0) == (not problem)
+    line = "blocks @capture.ply -o @blocks"
+    assert "give another folder, or delete this one" in work.run(*line.split()).err
+    shutil.rmtree(work.path("blocks"))
+    assert work.run(*line.split()).status == 0
 
 
 def test_shadowmap_without_a_light_names_a_setting_that_accepts_bright_gaussians(work: Workspace) -> None:
@@ -202,3 +222,33 @@ def test_set_of_shadowmap_changes_shadows_and_nothing_else(work: Workspace) -> N
     args = (*CAST.split(), "--light", "0,0,-6", "--keep-coordinates", "-o", "@d.npz")
     assert work.run(*args, "--resolution", "64", "--set", "animation.lighting.shadow_map.resolution=128").status == 0
     assert ls.DeepShadowMap.load(work.path("d.npz"), device="cpu").config.resolution == 128
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "remedies"),
+    [
+        ("far", "sog", ("--translate=-500000,-5400000,0", "ply")),
+        ("stray", "sog", ("--floaters 4", "ply")),
+        ("stray", "compressed.ply", ("--floaters 4", "ply", "spz")),
+    ],
+)
+def test_each_remedy_of_the_warning_about_coarse_positions_keeps_them_exact(
+    work: Workspace, caplog: pytest.LogCaptureFixture, source: str, target: str, remedies: tuple[str, ...]
+) -> None:
+    """A remedy is an option of convert, or another format."""
+    means = np.random.default_rng(0).random((1000, 3))
+    means = {"far": np.add(means, (5e5, 5.4e6, 0.0)), "stray": np.concatenate([means, [[9e4, 0.0, 0.0]]])}[source]
+    count = len(means)
+    turns, scales, sh = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.full((count, 3), 0.05), np.zeros((count, 1, 3))
+    ls.save(work.path("in.ply"), ls.Gaussians(means, turns, scales, np.full(count, 0.5), sh))
+
+    def warnings(extension: str, *options: str) -> str:
+        caplog.clear()
+        assert work.run("convert", "@in.ply", f"@out.{extension}", *options).status == 0
+        return "".join(line for line in caplog.messages if "are rounded to steps larger" in line)
+
+    line = warnings(target)
+    for remedy in remedies:
+        assert remedy.partition("=")[0] in line
+        again = warnings(target, *remedy.split()) if remedy.startswith("-") else warnings(remedy)
+        assert not again, again

@@ -25,7 +25,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workspace:
 
 
 def test_demo_command_writes_an_image_for_each_camera_and_lit_images_beside_them(work, monkeypatch):
-    """On request, demo writes a capture and cameras that can be rendered."""
+    """On request, demo writes a capture and cameras that can be rendered; the moving room has none."""
     capture = ls.SplatInstance(work.capture("capture.ply"), material=ls.MaterialPbr())
     lights = (
         ls.LightSpot((2.0, -3.0, 1.0), (-1.0, 3.0, 2.0), intensity=300.0, name="spot"),
@@ -35,7 +35,11 @@ def test_demo_command_writes_an_image_for_each_camera_and_lit_images_beside_them
     monkeypatch.setattr(ls, "demo_scene", lambda report: ls.Scene(splats=[replace(capture, material=None)]))
     monkeypatch.setattr(ls, "demo_scene_lit", lambda scene: ls.Scene(splats=[capture], lights=lights))
     monkeypatch.setattr(ls, "demo_cameras", lambda: ls.load_cameras(work.path("cameras.json")))
-    outcome = work.run("demo", "-o", "@demo", "--save-assets", "--width", "64")
+    line = ("demo", "-o", "@demo", "--save-assets", "--width", "64")
+    refused = work.run(*line, "--scene", "moving")
+    assert "--save-assets writes the still room: leave out --scene moving" in refused.err
+    assert refused.status == 2 and not work.path("demo").exists()
+    outcome = work.run(*line)
     assert outcome.status == 0
     images = {"left.png", "right.png"}
     lit = {"lit-raster.png", "lit-trace.png", "lit-hybrid.png", "lit-aovs.png", "lit-swing.gif"}
@@ -70,11 +74,3 @@ def test_demo_command_writes_an_animation_of_the_moving_room(work, monkeypatch):
         frames = [np.asarray(frame.convert("RGB")).astype(int) for frame in ImageSequence.Iterator(film)]
     assert min(frame.mean() for frame in frames) > 40.0
     assert np.abs(frames[0] - frames[-1]).max() > 60
-
-
-def test_demo_command_refuses_to_save_assets_of_the_moving_room(work):
-    """Only the still room has files."""
-    outcome = work.run("demo", "-o", "@demo", "--scene", "moving", "--save-assets")
-    assert outcome.status != 0
-    assert "--save-assets writes the still room" in outcome.err
-    assert not work.path("demo").exists()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
+import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -68,7 +70,7 @@ def test_train_refuses_a_checkpoint_of_other_settings(tmp_path: Path, capsys: py
     ):
         assert main([*command, *option]) == 2
         file = tmp_path / "a.training" / "checkpoint.npz"
-        advice = "use the earlier settings, or overwrite it"
+        advice = "use the earlier settings, or start again (--overwrite, overwrite=True)"
         assert error_line(capsys) == f"error: {file}: was trained {problem}: {advice}\n"
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
@@ -79,6 +81,45 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     assert main(["train", str(write_training_folder(folder / "set")), "-o", str(folder / "a.ply"), *SHORT]) == 0
     return folder
+
+
+@pytest.mark.parametrize(
+    ("options", "damaged", "output", "advice"),
+    [
+        (("--seed", "7"), "", "a.ply", "use the earlier settings, or start again"),
+        (("--hold-out", "4"), "", "a.ply", "use the earlier ones, or start again"),
+        (("--iterations", "30"), "", "a.ply", "request at least as many, or start again"),
+        ((), "a.training/checkpoint.npz", "a.ply", "remove it, or start again"),
+        ((), "a.training", "b.ply", "choose another output"),
+    ],
+)
+def test_train_succeeds_by_each_remedy_that_its_error_names(
+    options: tuple[str, ...],
+    damaged: str,
+    output: str,
+    advice: str,
+    whole: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The option in the error trains anew; the other remedy is the earlier command, without a damaged file."""
+    for name in ("anew", "other"):
+        shutil.copytree(whole, tmp_path / name)
+    if damaged.endswith(".npz"):
+        (tmp_path / "anew" / damaged).write_bytes(b"of another program")
+        (tmp_path / "other" / damaged).unlink()
+    elif damaged:
+        for name in ("anew", "other"):
+            shutil.rmtree(tmp_path / name / damaged)
+    command = ["train", str(whole / "set"), *SHORT]
+    capsys.readouterr()
+    anew = [*command, "-o", str(tmp_path / "anew" / "a.ply"), *options]
+    assert main(anew) == 2
+    line = error_line(capsys)
+    overwrite = re.search(r"\((--\S+),", line)
+    assert advice in line and overwrite
+    assert main([*anew, overwrite[1]]) == 0
+    assert main([*command, "-o", str(tmp_path / "other" / output)]) == 0
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 import warp as wp
 
 from lumisplat.errors import DeviceError
-from lumisplat.runtime.kernel_cache import load_module, remove_abandoned_headers
+from lumisplat.runtime.kernel_cache import OTHER_CACHE, load_module, remove_abandoned_headers
 
 
 @pytest.fixture
@@ -87,6 +87,20 @@ def test_kernel_cache_folder_inside_a_file_raises_an_error_with_the_reason(kerne
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / "file" / "kernels"))
     with pytest.raises(DeviceError, match=r"file.*cannot be stored here \(Not a directory\).*WARP_CACHE_PATH"):
         load_module(kernel.module, "cpu", 1)
+
+
+def test_kernels_are_stored_in_the_folder_of_the_environment_variable_that_errors_name(tmp_path) -> None:
+    """A process that starts with the variable uses its folder."""
+    program = "import warp, lumisplat.runtime.start as s; s.start_warp(); print(warp.config.kernel_cache_dir)"
+    name = OTHER_CACHE.split()[4]
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), name: str(tmp_path / "other")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert name == "WARP_CACHE_PATH" and done.stdout.splitlines()[-1].startswith(str(tmp_path / "other"))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")

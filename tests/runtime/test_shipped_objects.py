@@ -164,9 +164,9 @@ def test_kernels_whose_source_or_options_differ_are_compiled(shipped: Path, left
 
 @pytest.mark.parametrize("suffix", [".o", ".meta"])
 def test_damaged_shipped_kernels_are_compiled_with_a_warning(
-    suffix: str, shipped: Path, left_to_warp: list[str], caplog: pytest.LogCaptureFixture
+    suffix: str, shipped: Path, compiled: Path, left_to_warp: list[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A disk that was full during the installation costs time, and no frame."""
+    """A disk that was full during the installation costs time, and no frame; the files of another one replace these."""
     file = shipped.with_suffix(suffix)
     os.truncate(file, file.stat().st_size // 2)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -175,6 +175,9 @@ def test_damaged_shipped_kernels_are_compiled_with_a_warning(
     assert [record.getMessage() for record in caplog.records] == [
         f"{shipped}: shipped kernels are damaged and are compiled here; install Lumisplat again to replace them"
     ]
+    shutil.copytree(compiled, shipped.parents[1], dirs_exist_ok=True)
+    load_module(MODULE, "cpu", 1)
+    assert left_to_warp == [MODULE.name]
 
 
 def test_installation_without_shipped_kernels_compiles_them(

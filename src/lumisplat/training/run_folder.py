@@ -392,8 +392,9 @@ RECORD = ("motion", "turns", "frames")
 _PER_IMAGE = "photographs."
 _MAY_CHANGE = ("iterations", "prune_below")
 """Settings that may have other values when a training resumes; all others must equal those of the checkpoint."""
-START_AGAIN = "remove it, or start again (--overwrite, overwrite=True)"
-_KIND = f"a training checkpoint: {START_AGAIN}"
+_START_AGAIN = "or start again (--overwrite, overwrite=True)"
+_REMOVE = f"remove it, {_START_AGAIN}"
+_KIND = f"a training checkpoint: {_REMOVE}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -499,7 +500,7 @@ def _damaged(path: Path) -> FormatError:
 def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, images: str) -> None:
     """Raises a FormatError unless a checkpoint was written with these settings and this fingerprint of the images."""
     if stored["version"] != VERSION:
-        raise FormatError(path, f"has checkpoint version {stored['version']}, expected {VERSION}: {START_AGAIN}")
+        raise FormatError(path, f"has checkpoint version {stored['version']}, expected {VERSION}: {_REMOVE}")
     settings = plain_settings(config)
     for name in dict.fromkeys([*settings, *stored["settings"]]):
         if name in _MAY_CHANGE:
@@ -507,13 +508,13 @@ def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, images: 
         before, now = stored["settings"].get(name), settings.get(name)
         if before != now:
             raise FormatError(
-                path, f"was trained with {name} {before}, not {now}: use the earlier settings, or overwrite it"
+                path, f"was trained with {name} {before}, not {now}: use the earlier settings, {_START_AGAIN}"
             )
     if stored["photographs"] != images:
         raise FormatError(
             path,
-            "was trained with other images, another hold-out or another background: use the earlier ones, or "
-            "overwrite it",
+            "was trained with other images, another hold-out or another background: use the earlier ones, "
+            f"{_START_AGAIN}",
         )
     _check_steps(path, int(stored["iteration"]), int(stored["settings"]["iterations"]), config.iterations)
 
@@ -526,8 +527,7 @@ def _check_steps(path: Path, done: int, before: int, now: int) -> None:
     if done > now:
         raise FormatError(
             path,
-            f"has {done:,} iterations, TrainConfig.iterations is {now:,}: request at least as many, or start again "
-            "(--overwrite, overwrite=True)",
+            f"has {done:,} iterations, TrainConfig.iterations is {now:,}: request at least as many, {_START_AGAIN}",
         )
     if before != now:
         _log.warning(

@@ -43,11 +43,24 @@ def test_farm_reports_mistakes_in_options_before_workers_start(
 
 
 def test_farm_without_ray_names_the_package_extra_to_install(work, monkeypatch) -> None:
-    """The error also names the option ``--frames``, which works without Ray."""
+    """The error also names the commands that divide frames without Ray, by ``--frames``."""
     monkeypatch.setitem(sys.modules, "ray", None)
     for address in ("local", "auto", "ray://farm:10001"):
         done = work.run("farm", "orbit", "@capture.ply", "-o", "@out", *SIZE, "--address", address)
-        assert done.status == 2 and "pip install 'lumisplat[farm]'" in done.err and "--frames" in done.err
+        assert done.status == 2 and "pip install 'lumisplat[farm]'" in done.err
+        assert "divide frames of orbit, animate or render --resume by --frames" in done.err
+    for command in ("orbit", "render --resume --cameras @cameras.json"):
+        for frame in "01":
+            line = f"{command} @capture.ply -o @{command[:5]} --frames {frame}"
+            assert work.run(*line.split(), *SIZE).status == 0
+        assert len(list(work.path(command[:5]).glob("*.png"))) == 2
+
+
+def test_command_without_farm_has_the_statistics_that_farm_refuses(work) -> None:
+    """Only one process can measure its stages."""
+    line = ("orbit", "@capture.ply", "-o", "@out", "--frames", "0", "--stats", *SIZE)
+    assert "run the command without farm" in work.run("farm", *line).err
+    assert work.run(*line).status == 0
 
 
 def test_farm_help_has_an_example_and_the_exit_statuses(capsys) -> None:

@@ -66,6 +66,7 @@ def test_render_with_resume_keeps_images_with_equal_settings_and_refuses_other_s
     assert images(work, "out") == images(work, "whole")
     refused = render(work, "out", "--resume", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0")
     assert refused.status == 2 and "holds frames of other settings or files (raster.sh_degree" in refused.err
+    assert ": leave out --resume to remove them, or choose another folder" in refused.err
     assert render(work, "out", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0").status == 0
     assert not work.path("out/render.json").exists()  # the file described images of other settings
     assert "holds frames, but no render.json" in render(work, "out", "--resume").err

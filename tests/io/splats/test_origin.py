@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,11 +171,14 @@ def test_edits_of_a_capture_in_map_coordinates_match_equal_edits_in_float64() ->
 
 
 def test_blocks_command_refuses_a_capture_with_a_map_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Blocks store absolute float32 positions, which would round positions in map coordinates."""
+    """Blocks store absolute float32 positions, which would round positions in map coordinates; convert moves them."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["blocks", str(tmp_path / "far.ply"), "-o", str(tmp_path / "far.blocks")]) == 2
     log_line = capsys.readouterr().err
-    assert "convert --translate=-500123" in log_line and not (tmp_path / "far.blocks").exists()
+    move = re.search(r"convert (--translate=-500123\S+) moves the capture to zero", log_line)
+    assert move and not (tmp_path / "far.blocks").exists()
+    assert main(["convert", str(tmp_path / "far.ply"), str(tmp_path / "near.ply"), move[1]]) == 0
+    assert main(["blocks", str(tmp_path / "near.ply"), "-o", str(tmp_path / "near.blocks")]) == 0
 
 
 def test_info_prints_the_map_origin_of_a_capture_and_convert_can_remove_it(

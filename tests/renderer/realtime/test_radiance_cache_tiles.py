@@ -67,6 +67,12 @@ def test_full_radiance_cache_evicts_tiles_that_were_unused_for_longest_first(cap
         "the radiance cache is full: 10 tiles were evicted, 0 could not be added; set realtime.cache.tiles above 64"
     ]
     assert rig.statistics.evicted == 20
+    caplog.clear()
+    larger = CacheRig(tiles=128)  # as the line advises
+    for frame in range(11):
+        larger.insert(made_samples(tile_row(8 * frame, 8)), frame)
+        larger.evict(frame)
+    assert not larger.statistics.evicted and not caplog.records
     left = rig.look_up(made_samples(tile_row(0, 64), radiance=0.0))[:, 0]
     assert left.tolist() == [1.0] * 4 + [0.0] * 20 + [1.0] * 40
 

@@ -77,7 +77,7 @@ class Blocks(LoadingCommand):
         if self.output is None:
             raise ls.ConfigError("-o is missing, the folder to write: lumisplat blocks IN.ply -o FOLDER")
         if self.cameras is not None:
-            raise ls.ConfigError("--cameras needs --plan")
+            raise ls.ConfigError("--cameras is for --plan, after the blocks are written: leave out --cameras")
         if self.cell is not None and not 0.0 < self.cell < math.inf:
             raise ls.ConfigError(f"--cell is {self.cell:g}, expected the edge length of a cube in scene units, above 0")
         if not 0 <= self.coarser <= 16:

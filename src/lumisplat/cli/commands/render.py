@@ -109,7 +109,8 @@ class Render(ViewsCommand, FrameCommand):
         if self.resume or self.tiles:
             with progress_bars() as report:
                 job = self.open_frames(report)
-                job = replace(job, frames=replace(job.frames, resume_hint="with --resume"))
+                folder = replace(job.frames.folder, replace_hint="leave out --resume")
+                job = replace(job, frames=replace(job.frames, folder=folder, resume_hint="with --resume"))
                 lines = make_frames(job, report, overwrite=not self.resume, video=None, fewer="--frames")
             print(lines)
             return

@@ -95,7 +95,8 @@ def _load_ray() -> Any:
     try:
         return importlib.import_module("ray")
     except ImportError:
-        what = "lumisplat farm, which runs on Ray (other commands can divide frames with --frames and --resume),"
+        divided = "without it, divide frames of orbit, animate or render --resume by --frames"
+        what = f"lumisplat farm, which runs on Ray ({divided}),"
         raise ls.errors.MissingExtraError(what, "farm") from None
 
 

@@ -49,6 +49,8 @@ class FrameFolder:
     """File name of each frame, relative to the folder; None numbers the files ``frame_0000`` and so on."""
     is_default: bool = field(default=False, kw_only=True)
     """True if the user did not name the folder: frames of other settings in it are then replaced, which is logged."""
+    replace_hint: str = field(default="give --overwrite", kw_only=True)
+    """How a command line must be changed so that it removes existing frames; part of messages."""
 
     @staticmethod
     def named_after(output: Path | None, video: Path | None, otherwise: str, extension: str, stamp: str) -> FrameFolder:
@@ -166,7 +168,7 @@ class FrameFolder:
         Raises:
             ConfigError: The user has to decide: the stamp is missing, or the folder was named and its frames differ.
         """
-        advice = f"give --overwrite to remove them, or another folder{' by -o' if self.is_default else ''}"
+        advice = f"{self.replace_hint} to remove them, or choose another folder{' by -o' if self.is_default else ''}"
         stored = stored_provenance(stamp)
         if stored is None:
             raise ls.ConfigError(f"{self.folder} holds frames, but no {self.stamp} with their settings: {advice}")
@@ -185,7 +187,7 @@ class FrameFolder:
         differing = self._differing(stored, provenance)
         return ls.ConfigError(
             f"{self.folder}: another run has begun there, which differs in {_listed(differing)}: "
-            "choose another folder, or give --overwrite if it has ended without a frame"
+            f"choose another folder, or {self.replace_hint} if it has ended without a frame"
         )
 
     def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:

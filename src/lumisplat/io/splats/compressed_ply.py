@@ -217,7 +217,7 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
     if coarse:
         _log.warning(
             "%s: the positions of %s Gaussians are rounded to steps larger than the Gaussians, because of outliers in "
-            "their chunks: remove outliers first, or save as .ply or .spz",
+            "their chunks: remove outliers (convert --floaters 4), or save as .ply or .spz",
             os.fspath(path),
             f"{coarse:,}",
         )

@@ -463,7 +463,8 @@ def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
     if count:
         _log.warning(
             "%s: the positions of %s are rounded to steps larger than their size, up to %.2g, because the capture is "
-            "far from the origin or has outliers: move it (--translate), remove outliers (--floaters), or save as .ply",
+            "far from the origin or has outliers: move it (convert --translate=X,Y,Z), remove outliers (convert "
+            "--floaters 4), or save as .ply",
             os.fspath(path),
             f"{count:,} Gaussian{'s' * (count > 1)}",
             step,

@@ -331,7 +331,8 @@ def _own_axis(cloud: _Cloud, guess: Doubles) -> Vector:
     ]
     if not clear:
         raise SceneError(
-            "no ground is found, and the capture has no distinct axis: give three points of the ground, or up"
+            "no ground is found, and the capture has no distinct axis: give three points of the ground (find_up, or "
+            "clicks in the viewer), or up (level)"
         )
     axis = max((axes[:, row] for row in clear), key=lambda one: abs(float(one @ guess)))
     if extents[2] > _LONG * extents[1] and abs(axes[:, 2] @ guess) > _STANDS:
