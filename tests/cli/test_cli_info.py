@@ -56,6 +56,13 @@ def test_info_prints_actors_animation_and_world_bounds_of_a_scene(work):
     assert "bounds (-1, -1, 4) to (1, 1, 4) placed (-2, -2, 8) to (2, 2, 8)" in shown
 
 
+def test_info_logs_once_where_an_actor_without_a_position_stands(work, caplog):
+    """The scene of an animation is read a single time."""
+    work.path("scene.toml").write_text(SCENE + '[[actors]]\npath = "tube.glb"\n')
+    assert "actor 1" in work.run("info", "@scene.toml").out
+    assert sum("has no position" in line for line in caplog.messages) == 1
+
+
 def test_info_json_has_the_values_of_the_tables(work):
     """Every kind of file uses the documented keys."""
     outcome = work.run("info", "@scene.toml", "@capture.ply", "@mesh.obj", "@cameras.json", "--json")

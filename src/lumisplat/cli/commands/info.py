@@ -7,7 +7,8 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast
 
@@ -30,7 +31,7 @@ from lumisplat.cli.output.images import file_stems
 if TYPE_CHECKING:
     from lumisplat.math.arrays import FloatArray
 
-    Held = ls.io.BlockIndex | ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
+    Held = ls.io.BlockIndex | ls.Gaussians | ls.Mesh | ls.Scene | ls.Animation | list[ls.Camera] | FloatArray
     import numpy as np
     import numpy.typing as npt
 
@@ -89,8 +90,8 @@ class Info(LevelsCommand):
                 print_table(str(path), [("kind", kind), size, *gaussian_rows(held)])
             case ls.Mesh():
                 print_table(str(path), [("kind", kind), size, *mesh_rows(held)])
-            case ls.Scene():
-                _print_scene(path, size, held)
+            case ls.Scene() | ls.Animation():
+                _print_scene(path, size, *_at_start(held))
             case list():
                 print_table(str(path), camera_rows(held))
             case _:
@@ -107,12 +108,12 @@ class Info(LevelsCommand):
                 return head | capture_facts(held)
             case ls.Mesh():
                 return head | mesh_facts(held)
-            case ls.Scene():
-                animation = _animation(path)
+            case ls.Scene() | ls.Animation():
+                scene, animation = _at_start(held)
                 animated = animation_facts(animation) if animation else None
                 rig = _rig(path)
                 rigged = rig_facts(rig) if rig else None
-                return head | scene_facts(held, _cameras(path)) | {"animation": animated, "rig": rigged}
+                return head | scene_facts(scene, _cameras(path)) | {"animation": animated, "rig": rigged}
             case list():
                 return head | camera_facts(held)
             case _:
@@ -127,6 +128,9 @@ class Info(LevelsCommand):
             return "blocks", ls.io.open_blocks(folder)
         if suffix in (".hdr", ".pic", ".exr"):
             return "radiance", ls.io.load_radiance(path)
+        if self.lod is None and _is_animated(path):
+            options = {"drop_invalid": self.drop_invalid, "allow_outside": self.allow_outside}
+            return "scene", ls.load_animation(path, crease_angle=self.crease_radians, **options)
         with progress_bars() as report:
             asset = self.load_asset(path, report)
         kinds = {ls.Gaussians: "capture", ls.Mesh: "mesh", ls.Scene: "scene"}
@@ -146,16 +150,26 @@ def _cameras(path: Path) -> list[ls.Camera]:
     return ls.load_cameras(path) if path.suffix.lower() in WITH_CAMERAS else []
 
 
-def _animation(path: Path) -> ls.Animation | None:
-    """Returns the animation of a scene file; None if nothing in it moves."""
-    if path.suffix.lower() != ".toml" or not has_motion(toml_values(path)):
-        return None
-    return ls.load_animation(path)
+def _is_animated(path: Path) -> bool:
+    """True if a file is a scene file in which something moves; False if it cannot be read, which is reported later."""
+    with suppress(OSError, ValueError, RecursionError):
+        return path.suffix.lower() == ".toml" and has_motion(toml_values(path))
+    return False
+
+
+def _at_start(held: ls.Scene | ls.Animation) -> tuple[ls.Scene, ls.Animation | None]:
+    """Returns the scene at time 0, with its actors, and its animation; None if nothing in it moves."""
+    if isinstance(held, ls.Scene):
+        return held, None
+    scene, actors = held.scene_at(0.0), held.actors_at(0.0)
+    splats = (one for one in actors if isinstance(one, ls.SplatInstance))
+    meshes = (one for one in actors if isinstance(one, ls.MeshInstance))
+    return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes)), held
 
 
 def _rig(path: Path) -> ls.avatars.Rig | None:
     """Returns the rig (joints and clips) of a glTF file; None without a rig, or with one that cannot be animated."""
-    if path.suffix.lower() not in (".glb", ".gltf"):
+    if path.suffix.lower() not in (".glb", ".gltf", ".vrm"):
         return None
     document = gltf_document(path)
     if not isinstance(document, dict) or not ("animations" in document or "skins" in document):
@@ -166,9 +180,9 @@ def _rig(path: Path) -> ls.avatars.Rig | None:
         return None
 
 
-def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
+def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene, animation: ls.Animation | None) -> None:
     """Prints tables of a scene, its captures, meshes, actors, lights and cameras."""
-    cameras, animation = _cameras(path), _animation(path)
+    cameras = _cameras(path)
     counts = f"{counted(len(scene.splats), 'capture')}, {counted(len(scene.meshes), 'mesh', 'meshes')}"
     counts += f", {counted(len(scene.lights), 'light')}" * bool(scene.lights)
     counts += f", {counted(len(cameras), 'camera')}" * bool(cameras)
