@@ -74,6 +74,7 @@ _READERS = {
     ".stl": "meshes.stl.read_stl",
     ".glb": "gltf.scene.read_gltf",
     ".gltf": "gltf.scene.read_gltf",
+    ".vrm": "gltf.scene.read_gltf",
     **dict.fromkeys(USD, "usd.scene.read_usd"),
 }
 """Reader of each extension, as module and function name. `_read` handles PLY, scene files and levels of detail itself.
@@ -113,7 +114,7 @@ _SCENE_WRITERS = {
 
 _READABLE = (
     ".ply, .compressed.ply, .spz, .splat, .ksplat, .sog, a SOG folder or its meta.json or lod-meta.json, a folder of "
-    "blocks, .obj, .stl, .glb, .gltf, .usda, .usdc, .usdz, .usd, .toml"
+    "blocks, .obj, .stl, .glb, .gltf, .vrm, .usda, .usdc, .usdz, .usd, .toml"
 )
 
 _WRITABLE = (
@@ -453,11 +454,12 @@ def load_rig(
     A body model has shape and pose blend shapes (Loper et al. 2015), y up, in metres. At rest its arms are spread.
 
     Args:
-        path: A ``.glb`` or ``.gltf`` file, a body model as ``.npz``, or a ``.bvh``: a skeleton without meshes, to which
-            `bind_gaussians` binds given Gaussians. A ``.pkl`` or ``.fbx`` is refused with the command that converts it.
-        motion: File whose clips come first: AMASS poses (``.npz``) for body models, or ``.bvh``, ``.glb`` or ``.gltf``
-            for body models and humans in glTF. The last three are matched by the names of joints, and fitted to the
-            rest pose and the leg length; a log line names joints that are not matched.
+        path: A ``.glb``, ``.gltf`` or ``.vrm`` file, a body model as ``.npz`` or ``.pkl``, or a ``.bvh``: a skeleton
+            without meshes, to which `bind_gaussians` binds given Gaussians. A ``.pkl`` is read as data: code in it is
+            not run. A ``.fbx`` is refused with the command that converts it.
+        motion: File whose clips come first: AMASS poses (``.npz``) for body models, or ``.bvh``, ``.glb``, ``.gltf`` or
+            ``.vrma`` for body models and humans in glTF. The latter are matched by the names of joints, and fitted to
+            the rest pose and the leg length; a log line names joints that are not matched.
         betas: Shape of a body model, up to as many numbers as the model has. None: those of ``motion``, which is
             logged, or the mean shape.
         expression: Facial expression of a SMPL-X or FLAME model, the same at all times; None: neutral.
@@ -504,7 +506,7 @@ def load_motion(path: PathLike, rig: Rig, *, allow_outside: bool = False) -> Rig
     """Returns a rig with the clips of a motion file first, as ``motion`` of `load_rig` does; its own clips follow.
 
     Args:
-        path: AMASS poses (``.npz``) for body models of SMPL, or ``.bvh``, ``.glb`` or ``.gltf`` for humans.
+        path: AMASS poses (``.npz``) for body models of SMPL, or ``.bvh``, ``.glb``, ``.gltf`` or ``.vrma`` for humans.
         rig: A rig of `load_rig`, or one that a program made.
         allow_outside: As in `load`.
 
@@ -634,7 +636,7 @@ def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _L
         _refuse_rig(path, extension)
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {_READABLE}")
     reader: Callable[..., _Loaded] = _import(_READERS[extension])
-    if extension in (".glb", ".gltf", *USD):
+    if extension in (".glb", ".gltf", ".vrm", *USD):
         return reader(path, drop_invalid=options.drop_invalid)
     if extension == ".obj" and options.crease_angle is not None:
         return reader(path, options.crease_angle)
@@ -643,14 +645,12 @@ def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _L
 
 def _refuse_rig(path: Path, extension: str) -> None:
     """Raises `FormatError` for rigs and motions that are no scenes; the message says how they are loaded."""
-    from lumisplat.io.rigs.loading import refuse_foreign
+    from lumisplat.io.rigs.loading import SAVED, refuse_foreign
 
     refuse_foreign(path)
-    if extension in (".npz", ".bvh"):
-        what = "a body model or poses" if extension == ".npz" else "a motion"
-        raise FormatError(
-            path, f"may be {what}: use it in [[actors]] of a scene file, or by ls.avatars.load_rig(path, motion=)"
-        )
+    if what := {".npz": "a body model or poses", ".pkl": "a body model", ".bvh": "a motion"}.get(extension):
+        use = "use it in [[actors]] of a scene file, or by ls.avatars.load_rig(path, motion=)"
+        raise FormatError(path, f"may be {what}: {use}" + f"; else, {SAVED}" * (extension == ".pkl"))
 
 
 def _writer_of(path: PathLike, *, scene: bool) -> str:

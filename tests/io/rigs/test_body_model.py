@@ -7,11 +7,11 @@ import logging
 import os
 import pickle
 import shlex
-import subprocess
+import struct
 import sys
 import types
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -183,19 +183,22 @@ def test_a_sparse_regressor_is_read_after_the_conversion_that_the_error_names(tm
 def test_truncated_or_damaged_body_files_raise_only_format_errors(tmp_path: Path) -> None:
     """At any length, and with any bit flipped, a file is refused in one line or read."""
     body, motion = body_file(tmp_path / "body.npz", "SMPL", directions=2), pose_file(tmp_path / "walk.npz", "SMPL")
+    pickled = tmp_path / "body.pkl"
+    pickled.write_bytes(pickle.dumps(body_arrays("SMPL", directions=2), 2))
     rng = np.random.default_rng(3)
-    for path in (body, motion):
+    for path in (body, motion, pickled):
+        rig = pickled if path is pickled else body
         whole = path.read_bytes()
         for length in np.linspace(1, len(whole) - 1, 15).astype(int):
             path.write_bytes(whole[:length])
             with pytest.raises(ls.FormatError):
-                ls.avatars.load_rig(body, motion=motion)
+                ls.avatars.load_rig(rig, motion=motion)
         for place in (*rng.integers(0, len(whole), 15), *rng.integers(len(whole) - 400, len(whole), 15)):
             damaged = bytearray(whole)
             damaged[place] ^= 1 << int(rng.integers(0, 8))
             path.write_bytes(damaged)
             with contextlib.suppress(ls.FormatError):
-                ls.avatars.load_rig(body, motion=motion)
+                ls.avatars.load_rig(rig, motion=motion)
         path.write_bytes(whole)
 
 
@@ -209,52 +212,92 @@ def _chumpy(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     return module
 
 
-@pytest.mark.parametrize("protocol", [0, 2])
-def test_the_command_in_the_error_about_pickles_converts_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: int
+_PICKLER: Any = pickle._Pickler  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class _Python2(_PICKLER):
+    """Writes bytes as Python 2 does: as text."""
+
+    dispatch: ClassVar[dict[type, Any]] = dict(_PICKLER.dispatch)
+
+    def save_bytes(self, obj: bytes) -> None:
+        self.write(b"T" + struct.pack("<i", len(obj)) + obj)
+        self.memoize(obj)
+
+    dispatch[bytes] = save_bytes
+
+
+@pytest.mark.parametrize(
+    ("protocol", "kind"), [(0, pickle.Pickler), (2, _Python2), (2, pickle.Pickler), (5, pickle.Pickler)]
+)
+def test_pickled_bodies_equal_those_of_archives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: int, kind: Any
 ) -> None:
-    """A pickle with objects of chumpy and a sparse matrix becomes a body model; harmful classes are not created."""
+    """Arrays may be objects of chumpy and sparse matrices; neither package is needed to read them."""
     sparse = pytest.importorskip("scipy.sparse")
     arrays = body_arrays("SMPL", directions=10)
-    with monkeypatch.context() as patch:
+    path = tmp_path / "SMPL.pkl"
+    with monkeypatch.context() as patch, path.open("wb") as file:
         chumpy = _chumpy(patch)
         shapes, template, inner = chumpy.Select(), chumpy.Ch(), chumpy.Ch()
         inner.x, template.x = np.concatenate([np.zeros(1), arrays["shapedirs"].ravel()]), arrays["v_template"]
         shapes.a, shapes.idxs, shapes.preferred_shape = inner, np.arange(1, inner.x.size), arrays["shapedirs"].shape
         changes = {"shapedirs": shapes, "v_template": template, "J_regressor": sparse.csc_matrix(arrays["J_regressor"])}
-        pickled = arrays | changes | {"bs_style": "lbs"}
-        del pickled["joint2num"]
-        path = tmp_path / "SMPL it's.pkl"
-        path.write_bytes(pickle.dumps(pickled, protocol))
-    with pytest.raises(ls.FormatError, match="is a pickle, which is not read") as caught:
+        changes |= {"posedirs": np.asfortranarray(arrays["posedirs"]), "weights": arrays["weights"].astype(">f8")}
+        kind(file, protocol).dump(arrays | changes | {"bs_style": "lbs", 3: template})
+    body, motion = body_file(tmp_path / "expected.npz", "SMPL", directions=10), pose_file(tmp_path / "a.npz", "SMPL")
+    found, expected = (ls.avatars.load_rig(file, betas=[1.0, 2.0], motion=motion) for file in (path, body))
+    np.testing.assert_array_equal(found.pose(0.07).positions, expected.pose(0.07).positions)
+    np.testing.assert_array_equal(found.mesh.indices, expected.mesh.indices)
+
+
+class _Harmful:
+    def __init__(self, *call: Any) -> None:
+        self.call = call
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self.call[0], self.call[1:]
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 5])
+def test_pickles_that_would_run_code_run_none(tmp_path: Path, protocol: int) -> None:
+    """Named functions are not called, wherever they stand; the arrays beside them are read, or the file is refused."""
+    made, path = str(tmp_path / "made"), tmp_path / "SMPL.pkl"
+    for call in ((os.mkdir, made), (exec, f"open({made!r}, 'w')"), (np.testing.runstring, f"open({made!r}, 'w')", {})):
+        arrays = body_arrays("SMPL", directions=2)
+        path.write_bytes(pickle.dumps(arrays | {"harm": _Harmful(*call)}, protocol))
         ls.avatars.load_rig(path)
-    assert "\n" not in str(caught.value)
-    command = str(caught.value).partition("with ")[2]
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    subprocess.run(command, shell=True, check=True, env=environment)
-    body_file(tmp_path / "expected.npz", "SMPL", directions=10)
-    pair = [ls.avatars.load_rig(tmp_path / name, betas=[1.0, 2.0]) for name in ("SMPL it's.npz", "expected.npz")]
-    np.testing.assert_array_equal(pair[0].mesh.positions, pair[1].mesh.positions)
-
-    class Harmful:
-        def __init__(self, *call: Any) -> None:
-            self.call = call
-
-        def __reduce__(self) -> tuple[Any, ...]:
-            return self.call[0], self.call[1:]
-
-    made = str(tmp_path / "made")
-    harm = [Harmful(os.mkdir, made), Harmful(np.testing.runstring, f"open({made!r}, 'w')", {})]
-    path.write_bytes(pickle.dumps({"v_template": harm}, protocol))
-    subprocess.run(command, shell=True, env=environment, capture_output=True, check=False)
+        for harm in ({"v_template": _Harmful(*call)}, {"f": [_Harmful(*call)]}, _Harmful(*call)):
+            path.write_bytes(pickle.dumps(arrays | harm if isinstance(harm, dict) else harm, protocol))
+            with pytest.raises(ls.FormatError, match=r"SMPL.pkl: (damaged, or not a body model|lacks f)"):
+                ls.avatars.load_rig(path)
     assert not os.path.exists(made)
 
 
-def test_the_command_in_the_error_about_fbx_imports_it_and_exports_glb(tmp_path: Path) -> None:
-    """The Python expression for Blender runs, and names both files."""
+def test_errors_about_files_of_python_programs_have_the_call_that_saves_their_content(tmp_path: Path) -> None:
+    """Poses that are saved so move a body, and Gaussians are saved by `lumisplat.save`."""
+    body, saved = body_file(tmp_path / "body.npz", "SMPL", directions=2), tmp_path / "walk.npz"
+    for name in ("a.pt", "a.pth", "a.pkl"):
+        (tmp_path / name).write_bytes(b"PK")
+        with pytest.raises(
+            ls.FormatError, match=r'save its Gaussians by ls.save\("avatar.ply", ls.Gaussians\(...\)\) in'
+        ):
+            ls.load(tmp_path / name)
+        with pytest.raises(ls.FormatError, match="is not read as a motion: save its poses of SMPL in Python") as caught:
+            ls.avatars.load_rig(body, motion=tmp_path / name)
+        call = str(caught.value).partition(" by ")[2].replace('"walk.npz"', repr(str(saved)))
+        eval(call.replace("poses=...", "poses=np.zeros((2, 72))").replace("trans=...", "trans=np.zeros((2, 3))"))
+        assert ls.avatars.load_rig(body, motion=saved).clips == ("walk",)
+        saved.unlink()
+
+
+def test_the_command_in_the_error_about_fbx_imports_it_and_exports_glb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A shell hands Blender a program that runs, and the names of both files."""
     with pytest.raises(ls.FormatError, match="is FBX, which is not read") as caught:
         ls.avatars.load_rig(tmp_path / "it's me.fbx")
-    words = shlex.split(str(caught.value).partition("with Blender: ")[2])
+    words = shlex.split(str(caught.value).partition("convert it by ")[2])
     assert words[:3] == ["blender", "--background", "--python-expr"]
     calls: list[tuple[str, dict[str, Any]]] = []
 
@@ -268,7 +311,9 @@ def test_the_command_in_the_error_about_fbx_imports_it_and_exports_glb(tmp_path:
         def __call__(self, **options: Any) -> None:
             calls.append((self.name, options))
 
-    exec(words[3].replace("import bpy;", ""), {"bpy": Operators()})
+    monkeypatch.setitem(sys.modules, "bpy", Operators())
+    monkeypatch.setattr(sys, "argv", words)
+    exec(words[3], {})
     assert calls[1:] == [
         ("bpy.ops.import_scene.fbx", {"filepath": str(tmp_path / "it's me.fbx")}),
         ("bpy.ops.export_scene.gltf", {"filepath": str(tmp_path / "it's me.glb")}),

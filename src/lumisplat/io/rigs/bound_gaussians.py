@@ -49,7 +49,11 @@ def read_weights(path: PathLike) -> npt.NDArray[np.floating]:
         with parsing(path, "skinning weights"):
             found = _array(data)
     else:
-        raise FormatError(path, f"unknown extension {path.suffix!r} of skinning weights, expected .npy or .npz")
+        raise FormatError(
+            path,
+            f"unknown extension {path.suffix!r} of skinning weights, expected .npy or .npz: "
+            'np.save("weights.npy", weights) writes one',
+        )
     if found.dtype.kind not in "fiu":
         raise FormatError(path, f"holds {found.dtype}, expected numbers")
     return found.astype(np.float32)

@@ -20,51 +20,41 @@ from lumisplat.scene.animation.rig import Clip, Rig
 
 _log = logging.getLogger("lumisplat")
 
-_GLTF = (".glb", ".gltf")
-RIG_FILES = (*_GLTF, ".npz")
-"""Extensions of rigs: glTF, and body models of the SMPL family."""
-_RIGS = ".glb, .gltf, or .npz of SMPL, SMPL-H, SMPL-X, FLAME"
-_MOTIONS = ".npz of AMASS, .bvh, .glb or .gltf"
+GLTF_FILES = (".glb", ".gltf", ".vrm", ".vrma")
+"""Extensions of rigs and motions that are glTF; .vrm and .vrma are GLB."""
+BODY_FILES = (".npz", ".pkl")
+"""Extensions of body models of the SMPL family."""
+_RIGS = ".glb, .gltf, .vrm, or .npz or .pkl of SMPL, SMPL-H, SMPL-X, FLAME"
+_MOTIONS = ".npz of AMASS, .bvh, .glb, .gltf or .vrma"
 _LISTED = 6
 """Log lines name at most this many joints."""
 _SAME_SHAPES = ("SMPL", "SMPL-H")
 """Models with the same shape space: coefficients of one fit the other."""
 
-_UNPICKLE = """\
-import sys,pickle as p,numpy as n;\
-C=type('C',(),{'__new__':lambda c,*a:object.__new__(c)});\
-U=type('U',(p.Unpickler,),{'find_class':lambda s,m,k:p.Unpickler.find_class(s,m,k)\
- if m.split('.')[0] in('numpy','copy_reg','copyreg','_codecs')\
- and k in('_reconstruct','_reconstructor','_frombuffer','ndarray','dtype','scalar','encode') else C});\
-w=lambda v:getattr(v,'__dict__',{});\
-g=lambda v:n.asarray(v.x) if 'x' in w(v) else g(v.a).ravel()[v.idxs].reshape(v.preferred_shape) if 'idxs' in w(v)\
- else n.bincount(v.indices*v._shape[1]+n.repeat(n.arange(v._shape[1]),n.diff(v.indptr)),v.data,v._shape[0]*v._shape[1])\
-.reshape(v._shape) if 'indptr' in w(v) else n.asarray(v);\
-f=sys.argv[1];d=U(open(f,'rb'),encoding='latin1').load();\
-n.savez_compressed(f.rsplit('.',1)[0]+'.npz',**{k:g(v) for k,v in d.items()})"""
-"""Python program that converts a pickle of the SMPL family to .npz without chumpy and scipy: of pickled classes, it
-creates only NumPy's arrays, and reads the arrays of chumpy's Ch and Select, and of scipy's csc_matrix."""
+_TO_GLB = (
+    "import bpy, sys; bpy.ops.wm.read_factory_settings(use_empty=True); "
+    "bpy.ops.import_scene.fbx(filepath=sys.argv[-2]); bpy.ops.export_scene.gltf(filepath=sys.argv[-1])"
+)
+"""Program for Blender that converts FBX to GLB; its arguments are the names of both files."""
+_TORCH = (".pt", ".pth", ".ckpt")
+SAVED = 'save its Gaussians by ls.save("avatar.ply", ls.Gaussians(...)) in the program that made it'
+"""Advice about files of Python programs, for error messages."""
 
 
 def refuse_foreign(path: PathLike) -> None:
-    """Raises `FormatError` for formats of rigs that are not read, with the command that converts them.
+    """Raises `FormatError` for formats of avatars that are not read, with what to do instead.
 
     Args:
         path: The file; only its extension matters, except that errors name it.
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix in (".pkl", ".pickle"):
-        command = f'python -c "{_UNPICKLE}" {shlex.quote(str(path))}'
-        raise FormatError(path, f"is a pickle, which is not read: convert a SMPL model to .npz with {command}")
     if suffix == ".fbx":
-        glb = path.with_suffix(".glb")
-        script = (
-            "import bpy;bpy.ops.wm.read_factory_settings(use_empty=True);"
-            f"bpy.ops.import_scene.fbx(filepath={str(path)!r});bpy.ops.export_scene.gltf(filepath={str(glb)!r})"
-        )
-        command = f"blender --background --python-expr {shlex.quote(script)}"
-        raise FormatError(path, f"is FBX, which is not read: convert it with Blender: {command}")
+        files = " ".join(shlex.quote(str(file)) for file in (path, path.with_suffix(".glb")))
+        command = f'blender --background --python-expr "{_TO_GLB}" -- {files}'
+        raise FormatError(path, f"is FBX, which is not read: convert it by {command}")
+    if suffix in _TORCH:
+        raise FormatError(path, f"is a file of PyTorch, which is not read: {SAVED}")
 
 
 def load_rig(
@@ -84,11 +74,11 @@ def load_rig(
             raise FormatError(path, f'is a motion without a body: load_rig("walker.glb", motion="{path.name}")')
         skeleton, clip = read_bvh(path)
         return Rig(skeleton, (), (clip,))
-    if suffix not in RIG_FILES:
+    if suffix not in (*GLTF_FILES, *BODY_FILES):
         raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected {_RIGS}")
-    is_gltf = suffix in _GLTF
+    is_gltf = suffix in GLTF_FILES
     if is_gltf and (betas is not None or expression is not None):
-        raise FormatError(path, "has no betas or expression: they shape a body model (SMPL), a .npz")
+        raise FormatError(path, "has no betas or expression: they shape a body model (SMPL), .npz or .pkl")
     poses = None
     if is_gltf:
         rig = read_gltf_rig(path, vertex_colors)
@@ -112,6 +102,9 @@ def load_motion(path: PathLike, rig: Rig, name: str = "the rig", poses: BodyPose
         poses: Content of the file, if it holds AMASS poses and is already read.
     """
     path = Path(path)
+    if path.suffix.lower() in (".pkl", *_TORCH):
+        poses_file = 'np.savez("walk.npz", poses=..., trans=..., mocap_framerate=30.0)'
+        raise FormatError(path, f"is not read as a motion: save its poses of SMPL in Python by {poses_file}")
     refuse_foreign(path)
     if path.suffix.lower() == ".npz":
         if rig.skeleton.names not in (SMPL, SMPLH, SMPLX):
@@ -138,7 +131,7 @@ def _betas_of(model: BodyModel, poses: BodyPoses) -> npt.ArrayLike | None:
 def _fitted(path: Path, rig: Rig, name: str) -> tuple[Clip, ...]:
     """Returns the clips of a BVH or glTF file, fitted to a rig; logs which joints do not move."""
     suffix = path.suffix.lower()
-    if suffix in _GLTF:
+    if suffix in GLTF_FILES:
         source, clips = read_gltf_motion(path)
     elif suffix == ".bvh":
         source, clip = read_bvh(path)
