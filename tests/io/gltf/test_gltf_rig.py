@@ -316,7 +316,7 @@ def test_load_rig_refuses_files_of_unknown_extensions_without_parsing(tmp_path: 
     """Upper-case extensions are allowed."""
     (tmp_path / "spot.obj").write_text("v 0 0 0\n")
     with pytest.raises(
-        ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb, \.gltf, or \.npz of SMPL"
+        ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb, \.gltf, \.vrm, or \.npz"
     ):
         ls.avatars.load_rig(tmp_path / "spot.obj")
     assert ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)

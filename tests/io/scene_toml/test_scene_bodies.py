@@ -24,6 +24,7 @@ def folder(tmp_path: Path) -> Path:
     TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb")
     (tmp_path / "walk.bvh").write_text("HIERARCHY")
     np.save(tmp_path / "w.npy", np.ones((10, 2)))
+    (tmp_path / "walk.pkl").write_bytes(b"")
     return tmp_path
 
 
@@ -52,6 +53,14 @@ def test_body_models_with_motion_are_actors_that_stand(folder: Path) -> None:
         ),
         ("path = 'smpl.npz'\nbetas = 1", "line 3, actors[0]: betas is 1, expected numbers in brackets"),
         ("path = 'tube.glb'\nmotion = 'no.bvh'", "line 3, actors[0]: motion is 'no.bvh', no such file"),
+        (
+            "path = 'tube.glb'\nmotion = 'walk.bvh'",
+            "line 3, actors[0]: motion 'walk.bvh' ends before its MOTION: expected a BVH file",
+        ),
+        (
+            "path = 'smpl.npz'\nmotion = 'walk.pkl'",
+            "line 3, actors[0]: motion 'walk.pkl' is not read as a motion: save its poses of SMPL",
+        ),
         ("path = 'walk.bvh'", "line 2, actors[0]: path is 'walk.bvh', a motion without a body: write path ="),
         ("path = 'tube.glb'\nweights = 'w.npy'", "line 3, actors[0]: weights are those of a capture, but there is no"),
         ("path = 'tube.glb'\ngaussians = 'capture.ply'\ncount = 3", "line 4, actors[0]: count and gaussians are both"),
@@ -71,6 +80,16 @@ def test_errors_of_bodies_and_motions_name_the_line(folder: Path, text: str, pro
     with pytest.raises(ls.FormatError) as caught:
         ls.load_animation(folder / "scene.toml")
     refuses(caught, folder, problem)
+
+
+def test_actors_of_vrm_files_equal_those_of_glb_files(folder: Path) -> None:
+    """A .vrm is a GLB file with another extension, as a rig and as a scene."""
+    (folder / "tube.vrm").write_bytes((folder / "tube.glb").read_bytes())
+    entry = '[[actors]]\npath = "tube.{}"\nform = "mesh"\n'
+    actors = ls.load_animation(write_scene(folder, entry.format("vrm") + entry.format("glb"))).actors
+    shown = [expect_kind(ls.MeshInstance, actor.at(0.6)[0]).mesh.positions for actor in actors]
+    np.testing.assert_array_equal(shown[0], shown[1])
+    assert expect_kind(ls.Scene, ls.load(folder / "tube.vrm")).meshes
 
 
 def test_a_capture_is_bound_to_the_rig_of_its_entry(folder: Path) -> None:

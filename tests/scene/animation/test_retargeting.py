@@ -258,8 +258,18 @@ def directions_of_legs(skeleton: Skeleton, clip: Clip) -> np.ndarray:
     return bones / np.linalg.norm(bones, axis=1, keepdims=True)
 
 
-def test_clips_of_a_gltf_move_a_body(tmp_path: Path) -> None:
-    """A skinned glTF whose joints have names of a person gives its clips, by their names."""
+@pytest.mark.parametrize(
+    ("file", "bones"),
+    [
+        ("kick.glb", {}),
+        ("kick.vrma", {"VRMC_vrm_animation": lambda bones: {name: {"node": k} for name, k in bones.items()}}),
+        ("kick.vrm", {"VRMC_vrm": lambda bones: {name: {"node": k} for name, k in bones.items()}}),
+        ("kick.vrm", {"VRM": lambda bones: [{"bone": name, "node": k} for name, k in bones.items()]}),
+    ],
+    ids=["glTF", "VRM animation", "VRM 1", "VRM 0"],
+)
+def test_clips_of_a_gltf_move_a_body(tmp_path: Path, file: str, bones: dict[str, Any]) -> None:
+    """A skinned glTF gives its clips if its joints, or the bones of VRM, have names of a person."""
     names = ["Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot"]
     heights = [0.0, -0.1, -0.5, -0.4]
     nodes = [{"mesh": 0, "skin": 0}, {"name": names[0], "children": [2, 5], "translation": [0.0, 1.1, 0.0]}]
@@ -269,7 +279,18 @@ def test_clips_of_a_gltf_move_a_body(tmp_path: Path) -> None:
             nodes[-1] |= {"children": [first + k + 1]} if k < 2 else {}
     quarter = np.array([[0.0, 0.0, 0.0, 1.0], [0.5**0.5, 0.0, 0.0, 0.5**0.5]], np.float32)  # xyzw, about x
     rig = TubeRig(nodes=nodes, clips={"kick": [(2, "rotation", np.array([0.0, 1.0], np.float32), quarter, "LINEAR")]})
-    body_rig = ls.avatars.load_rig(body_file(tmp_path / "smpl.npz", "SMPL"), motion=rig.write(tmp_path / "kick.glb"))
+    gltf = rig.gltf()
+    for extension, humanoid in bones.items():
+        known = ("hips", *(f"{side}{limb}" for side in ("left", "right") for limb in ("UpperLeg", "LowerLeg", "Foot")))
+        gltf.json |= {
+            "extensions": {
+                extension: {"humanoid": {"humanBones": humanoid({name: k for k, name in enumerate(known, 1)})}}
+            }
+        }
+        for k, node in enumerate(gltf.json["nodes"]):
+            node["name"] = f"J_{k}"
+    (tmp_path / file).write_bytes(gltf.glb())
+    body_rig = ls.avatars.load_rig(body_file(tmp_path / "smpl.npz", "SMPL"), motion=tmp_path / file)
     assert body_rig.clips == ("kick",)
     world, joints = body_rig.skeleton.world_from_node(body_rig.animations[0], 1.0), human_joints(body_rig.skeleton)
     thigh = world[joints["left_knee"], :3, 3] - world[joints["left_hip"], :3, 3]

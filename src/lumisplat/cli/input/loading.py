@@ -27,7 +27,7 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 """Extensions of OpenUSD files."""
 WITH_CAMERAS = (".toml", ".glb", ".gltf", *USD)
 """Extensions of the scene files that can contain cameras: scene.toml, glTF and OpenUSD."""
-_SCENES = (".glb", ".gltf", *USD)
+_SCENES = (".glb", ".gltf", ".vrm", *USD)
 """Extensions of the scene formats that other programs write: glTF and OpenUSD."""
 
 BLOCKS = "blocks.json"

@@ -547,7 +547,7 @@ def _heading_of(file: Path) -> Literal["splats", "meshes"]:
     """
     suffix = file.suffix.lower()
     is_mesh = suffix in _MESHES or (suffix == ".ply" and holds_mesh(file))
-    if suffix in (".glb", ".gltf"):
+    if suffix in (".glb", ".gltf", ".vrm"):
         is_mesh = not holds_one_capture(file)
     if suffix in USD:
         from lumisplat.io.usd.scene import holds_one_capture as holds_one_field

@@ -14,7 +14,7 @@ import numpy as np
 
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.files.source import PathLike, is_list, parsing
 from lumisplat.io.gltf.cameras import cameras_of
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.gaussians import GltfCaptures
@@ -323,8 +323,17 @@ def _read_skeleton(file: GltfFile) -> Skeleton:
     identity = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3)
     columns = [identity if index in matrices else node_columns(file, index) for index in nodes]
     translations, rotations, scales = (np.array(column) for column in zip(*columns, strict=True))
-    names = tuple(node.name or "" for node in file.model.nodes)
-    return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices, names)
+    names = {index: node.name or "" for index, node in enumerate(file.model.nodes)} | _human_bones(file)
+    return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices, tuple(names[k] for k in nodes))
+
+
+def _human_bones(file: GltfFile) -> dict[int, str]:
+    """Returns the names that VRM gives to nodes, such as leftUpperLeg, by their indices; empty for other files."""
+    extensions: dict[str, Any] = file.model.extensions or {}
+    named = [extensions[name] for name in ("VRMC_vrm", "VRMC_vrm_animation", "VRM") if name in extensions]
+    bones: Any = named[0].get("humanoid", {}).get("humanBones", {}) if named else {}
+    rows: list[Any] = bones if is_list(bones) else [{"bone": name, **bones[name]} for name in bones]  # VRM 0, or 1
+    return {int(row["node"]): str(row["bone"]) for row in rows}
 
 
 def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_RigPrimitive]:

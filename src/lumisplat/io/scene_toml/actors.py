@@ -27,7 +27,7 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.animation import is_rigged
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.rigs.bound_gaussians import read_triangles, read_weights
-from lumisplat.io.rigs.loading import load_rig
+from lumisplat.io.rigs.loading import BODY_FILES, GLTF_FILES, load_rig
 from lumisplat.io.scene_toml.placement import (
     PLACEMENT,
     STANDING,
@@ -65,8 +65,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 ACTOR_KEYS = {
     "path": TEXT.about(
-        "A `.glb` or `.gltf` with a skin or animation, a `.npz` of SMPL, SMPL-H, SMPL-X or FLAME, a folder of frames, "
-        "a capture or a mesh. Required."
+        "A `.glb`, `.gltf` or `.vrm` with a skin or animation, a `.npz` or `.pkl` of SMPL, SMPL-H, SMPL-X or FLAME, a "
+        "folder of frames, a capture or a mesh. Required."
     ),
     **PLACEMENT,
     **STANDING,
@@ -78,7 +78,7 @@ ACTOR_KEYS = {
     "count": WHOLE.about("Number of Gaussians of a rig or mesh. Default: neighbours are 1/300 of its size apart."),
     "vertex_colors": FLAG.about("Multiplies the colours of a rig by COLOR_0. Default: true."),
     "motion": TEXT.about(
-        "Motion of a rig from another file: `.npz` of AMASS (body models), `.bvh`, `.glb` or `.gltf`."
+        "Motion of a rig from another file: `.npz` of AMASS (body models), `.bvh`, `.glb`, `.gltf` or `.vrma`."
     ),
     "gaussians": TEXT.about(
         "A capture that is bound to the rig, in its rest pose: a trained avatar. Default: new Gaussians on its meshes."
@@ -284,14 +284,19 @@ class Subjects:
 
     def _rig(self, table: TomlTable, file: Path, given: Values, mesh_keys: set[str]) -> Subject:
         """Loads a rig as a rig, as new Gaussians on its meshes, or with a capture that is bound to it."""
-        is_body, as_mesh = file.suffix.lower() == ".npz", given.get("form") == "mesh"
+        is_body, as_mesh = file.suffix.lower() in BODY_FILES, given.get("form") == "mesh"
         known = {*mesh_keys, "motion", "gaussians", "weights", "betas" if is_body else "vertex_colors"}
         _refuse_foreign_keys(table, given, known, "a rig as a mesh" if as_mesh else "a rig")
         if "weights" in given and "gaussians" not in given:
             raise table.error("weights are those of a capture, but there is no gaussians", "weights")
         motion = table.file("motion") if "motion" in given else None
         colors = given.get("vertex_colors", True)
-        rig = load_rig(file, motion=motion, betas=given.get("betas"), vertex_colors=colors)
+        try:
+            rig = load_rig(file, motion=motion, betas=given.get("betas"), vertex_colors=colors)
+        except FormatError as error:
+            if motion is None or error.path != str(motion):
+                raise
+            raise table.error(f"motion {given['motion']!r} {error.problem}", "motion") from None
         if "gaussians" in given:
             return self._bound(table, given, rig)
         return rig if as_mesh else bind_gaussians(rig, given.get("count"))
@@ -317,9 +322,10 @@ class Subjects:
             _refuse_foreign_keys(table, given, {"fps"}, "a folder of frames")
             self._captures.add(file)
             return read_sequence(file, given.get("fps", 25.0), self.load)
-        if file.suffix.lower() == ".npz" or (file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file))):
+        suffix = file.suffix.lower()
+        if suffix in BODY_FILES or (suffix in GLTF_FILES and is_rigged(GltfFile(file))):
             return self._rig(table, file, given, mesh_keys)
-        if file.suffix.lower() == ".bvh":
+        if suffix == ".bvh":
             if "gaussians" in given:
                 _refuse_foreign_keys(table, given, {"gaussians", "weights"}, "a skeleton")
                 return self._bound(table, given, load_rig(file))

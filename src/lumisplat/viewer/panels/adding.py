@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 _NOTHING = "nothing"
 _ENVIRONMENT_IMAGES = (".hdr", ".exr")
 _CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
-_READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", *_ENVIRONMENT_IMAGES)
+_SCENES = (".glb", ".gltf", ".vrm", ".usda", ".usdc", ".usdz", ".usd")
+_READABLE = (*_CAPTURES, ".obj", ".stl", *_SCENES, *_ENVIRONMENT_IMAGES)
 _LIGHTS = ("point", "spot", "directional", "sphere", "rect", "disk")
 _SHAPES = ("box", "sphere", "plane")
 _UPLOADS = "uploads"
