@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from support.files.body_files import body_file, pose_file
-from support.files.rig_files import BEND, TubeRig
+from support.files.rig_files import BEND, CARRY, TubeRig
 from support.files.scene_files import refuses, write_scene
 from support.kinds import expect_kind
 from support.scenes.raster_scenes import random_gaussians
@@ -62,7 +62,12 @@ def test_body_models_with_motion_are_actors_that_stand(folder: Path) -> None:
             "line 3, actors[0]: motion 'walk.pkl' is not read as a motion: save its poses of SMPL",
         ),
         ("path = 'walk.bvh'", "line 2, actors[0]: path is 'walk.bvh', a motion without a body: write path ="),
-        ("path = 'tube.glb'\nweights = 'w.npy'", "line 3, actors[0]: weights are those of a capture, but there is no"),
+        ("path = 'tube.glb'\nweights = 'w.npy'", "line 3, actors[0]: weights is that of a capture, but there is no"),
+        ("path = 'tube.glb'\npose = 0.5", "line 3, actors[0]: pose is that of a capture, but there is no gaussians"),
+        (
+            "path = 'tube.glb'\ngaussians = 'capture.ply'\npose = nan",
+            "line 4, actors[0]: pose is nan, expected a time of the clip, a finite number of seconds",
+        ),
         ("path = 'tube.glb'\ngaussians = 'capture.ply'\ncount = 3", "line 4, actors[0]: count and gaussians are both"),
         (
             "path = 'tube.glb'\ngaussians = 'capture.ply'\nweights = 'w.npy'",
@@ -105,3 +110,16 @@ def test_a_capture_is_bound_to_the_rig_of_its_entry(folder: Path) -> None:
     (folder / "away").mkdir()
     ls.io.SceneDocument.open(folder / "scene.toml").save(folder / "away" / "scene.toml")
     assert 'weights = "../w.npz"' in (folder / "away" / "scene.toml").read_text()
+
+
+def test_pose_of_an_actor_is_a_time_of_its_clip(folder: Path) -> None:
+    """The capture is as it was in that pose, of the clip that the entry names, and moves from there."""
+    TubeRig(clips={"bend": BEND, "carry": CARRY}).write(folder / "tube.glb")
+    entry = '[[actors]]\npath = "tube.glb"\ngaussians = "capture.ply"\npose = 0.8\nclip = "{}"\n'
+    actors = ls.load_animation(write_scene(folder, entry.format("bend") + entry.format("carry"))).actors
+    rig, capture = ls.avatars.load_rig(folder / "tube.glb"), random_gaussians(1, count=10)
+    for actor, clip in zip(actors, ("bend", "carry"), strict=True):
+        shown = [expect_kind(ls.SplatInstance, actor.at(time)[0]).gaussians.means for time in (0.8, 0.3)]
+        np.testing.assert_allclose(shown[0], capture.means, atol=1e-5)
+        expected = ls.bind_gaussians(rig, gaussians=capture, pose=rig.pose_at(0.8, clip)).at(0.3, clip).means
+        np.testing.assert_allclose(shown[1], expected, atol=1e-5)

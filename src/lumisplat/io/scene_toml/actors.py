@@ -83,6 +83,7 @@ ACTOR_KEYS = {
     "gaussians": TEXT.about(
         "A capture that is bound to the rig, in its rest pose: a trained avatar. Default: new Gaussians on its meshes."
     ),
+    "pose": NUMBER.about("Time of `clip` whose pose the `gaussians` have, seconds. Default: the rest pose."),
     "weights": TEXT.about(
         "Skinning weights of `gaussians`, `.npy` or `.npz`, Gaussians x joints. Default: nearest triangles, or bones."
     ),
@@ -107,6 +108,8 @@ KEYFRAME_KEYS = {
 _POSES = 8
 """Number of poses of a clip or sequence of which the lowest stands on the ground."""
 _FORMS = ("gaussians", "mesh")
+_BOUND = ("gaussians", "weights", "pose")
+"""Keys that bind a capture to a rig."""
 _KEY_OWNERS = {
     "count": "a rig or a mesh as Gaussians",
     "form": "a rig or a mesh",
@@ -114,6 +117,7 @@ _KEY_OWNERS = {
     "motion": "a rig",
     "gaussians": "a rig",
     "weights": "a rig",
+    "pose": "a rig",
     "betas": "a body model",
     "fps": "a folder of frames",
 }
@@ -272,7 +276,7 @@ class Subjects:
         file = table.file("path")
         if given.get("form", "gaussians") not in _FORMS:
             raise table.wrong("form", " or ".join(_FORMS))
-        key = file, *(repr(given.get(name)) for name in _KEY_OWNERS)
+        key = file, *(repr(given.get(name)) for name in _KEY_OWNERS), given.get("clip") if "pose" in given else None
         if key not in self._subjects:
             try:
                 self._subjects[key] = self._make(table, file, given)
@@ -285,10 +289,11 @@ class Subjects:
     def _rig(self, table: TomlTable, file: Path, given: Values, mesh_keys: set[str]) -> Subject:
         """Loads a rig as a rig, as new Gaussians on its meshes, or with a capture that is bound to it."""
         is_body, as_mesh = file.suffix.lower() in BODY_FILES, given.get("form") == "mesh"
-        known = {*mesh_keys, "motion", "gaussians", "weights", "betas" if is_body else "vertex_colors"}
+        known = {*mesh_keys, "motion", *_BOUND, "betas" if is_body else "vertex_colors"}
         _refuse_foreign_keys(table, given, known, "a rig as a mesh" if as_mesh else "a rig")
-        if "weights" in given and "gaussians" not in given:
-            raise table.error("weights are those of a capture, but there is no gaussians", "weights")
+        for key in _BOUND:
+            if key in given and "gaussians" not in given:
+                raise table.error(f"{key} is that of a capture, but there is no gaussians", key)
         motion = table.file("motion") if "motion" in given else None
         colors = given.get("vertex_colors", True)
         try:
@@ -311,7 +316,10 @@ class Subjects:
             raise table.error(f"gaussians is {given['gaussians']!r}, which is no capture", "gaussians")
         weights = read_weights(table.file("weights")) if "weights" in given else None
         triangles = None if "weights" in given else read_triangles(table.file("gaussians"))
-        return bind_gaussians(rig, gaussians=capture, weights=weights, triangles=triangles)
+        if not np.isfinite(given.get("pose", 0.0)):
+            raise table.wrong("pose", "a time of the clip, a finite number of seconds")
+        pose = rig.pose_at(given["pose"], given.get("clip")) if "pose" in given else None
+        return bind_gaussians(rig, gaussians=capture, weights=weights, triangles=triangles, pose=pose)
 
     def _make(self, table: TomlTable, file: Path, given: Values) -> Subject:
         if file.suffix.lower() == ".toml":
@@ -327,7 +335,7 @@ class Subjects:
             return self._rig(table, file, given, mesh_keys)
         if suffix == ".bvh":
             if "gaussians" in given:
-                _refuse_foreign_keys(table, given, {"gaussians", "weights"}, "a skeleton")
+                _refuse_foreign_keys(table, given, {*_BOUND}, "a skeleton")
                 return self._bound(table, given, load_rig(file))
             raise table.error(
                 f'path is {given["path"]!r}, a motion without a body: write path = "walker.glb" and motion = '
