@@ -8,7 +8,7 @@ a mesh.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -441,6 +441,7 @@ def load_rig(
     path: PathLike,
     *,
     motion: PathLike | None = None,
+    joints: Mapping[str, str] | None = None,
     betas: npt.ArrayLike | None = None,
     expression: npt.ArrayLike | None = None,
     vertex_colors: bool = True,
@@ -460,6 +461,7 @@ def load_rig(
         motion: File whose clips come first: AMASS poses (``.npz``) for body models, or ``.bvh``, ``.glb``, ``.gltf`` or
             ``.vrma`` for body models and humans in glTF. The latter are matched by the names of joints, and fitted to
             the rest pose and the leg length; a log line names joints that are not matched.
+        joints: Names in SMPL of joints, as in `load_motion`.
         betas: Shape of a body model, up to as many numbers as the model has. None: those of ``motion``, which is
             logged, or the mean shape.
         expression: Facial expression of a SMPL-X or FLAME model, the same at all times; None: neutral.
@@ -475,7 +477,9 @@ def load_rig(
     from lumisplat.io.rigs.loading import load_rig as load_any_rig
 
     with references_outside(allow_outside):
-        return load_any_rig(path, motion=motion, betas=betas, expression=expression, vertex_colors=vertex_colors)
+        return load_any_rig(
+            path, motion=motion, joints=joints, betas=betas, expression=expression, vertex_colors=vertex_colors
+        )
 
 
 def load_bound_gaussians(path: PathLike) -> tuple[Gaussians, IntArray | None]:
@@ -502,17 +506,21 @@ def load_bound_gaussians(path: PathLike) -> tuple[Gaussians, IntArray | None]:
     return gaussians, read_triangles(path)
 
 
-def load_motion(path: PathLike, rig: Rig, *, allow_outside: bool = False) -> Rig:
+def load_motion(
+    path: PathLike, rig: Rig, *, joints: Mapping[str, str] | None = None, allow_outside: bool = False
+) -> Rig:
     """Returns a rig with the clips of a motion file first, as ``motion`` of `load_rig` does; its own clips follow.
 
     Args:
         path: AMASS poses (``.npz``) for body models of SMPL, or ``.bvh``, ``.glb``, ``.gltf`` or ``.vrma`` for humans.
         rig: A rig of `load_rig`, or one that a program made.
+        joints: Names in SMPL of joints whose names in the motion or the rig are not known, by those names:
+            ``{"Shin.L": "left_knee"}``.
         allow_outside: As in `load`.
 
     Raises:
         FormatError: The file is malformed, or its joints cannot be matched with those of the rig.
-        SceneError: ``rig`` is not a rig.
+        SceneError: ``rig`` is not a rig, or ``joints`` has an unknown name.
         MissingFileError: There is no such file; both a `FormatError` and a FileNotFoundError.
     """
     from lumisplat.io.rigs.loading import load_motion as load_any_motion
@@ -521,7 +529,7 @@ def load_motion(path: PathLike, rig: Rig, *, allow_outside: bool = False) -> Rig
 
     check_argument("load_motion", rig, Rig, "a Rig of load_rig")
     with references_outside(allow_outside):
-        return load_any_motion(path, rig)
+        return load_any_motion(path, rig, joints=joints)
 
 
 def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -> GaussianSequence:

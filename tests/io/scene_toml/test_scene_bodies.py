@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.files.body_files import body_file, pose_file
+from support.files.body_files import body_file, person_bvh, pose_file
 from support.files.rig_files import BEND, CARRY, TubeRig
 from support.files.scene_files import refuses, write_scene
 from support.kinds import expect_kind
@@ -25,6 +25,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "walk.bvh").write_text("HIERARCHY")
     np.save(tmp_path / "w.npy", np.ones((10, 2)))
     (tmp_path / "walk.pkl").write_bytes(b"")
+    (tmp_path / "hop.bvh").write_text(person_bvh(f"0 40 0{' 0' * 27}\n0 40 33{' 0' * 27}\n"))
     return tmp_path
 
 
@@ -60,6 +61,18 @@ def test_body_models_with_motion_are_actors_that_stand(folder: Path) -> None:
         (
             "path = 'smpl.npz'\nmotion = 'walk.pkl'",
             "line 3, actors[0]: motion 'walk.pkl' is not read as a motion: save its poses of SMPL",
+        ),
+        (
+            "path = 'smpl.npz'\njoints = { a = 'pelvis' }",
+            "line 3, actors[0]: joints are those of a motion, but there is no motion",
+        ),
+        (
+            "path = 'smpl.npz'\nmotion = 'walk.npz'\njoints = { a = 1 }",
+            'line 4, actors[0]: joints is {\'a\': 1}, expected names of SMPL, such as { "Shin.L" = "left_knee" }',
+        ),
+        (
+            "path = 'smpl.npz'\nmotion = 'hop.bvh'\njoints = { Shin = 'left_knee' }",
+            "line 4, actors[0]: joints has unknown 'Shin', expected Hips, Chest, Tail, LeftHip",
         ),
         ("path = 'walk.bvh'", "line 2, actors[0]: path is 'walk.bvh', a motion without a body: write path ="),
         ("path = 'tube.glb'\nweights = 'w.npy'", "line 3, actors[0]: weights is that of a capture, but there is no"),

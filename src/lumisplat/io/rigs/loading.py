@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import shlex
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy.typing as npt
 
+from lumisplat.config.checks import suggestion
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.animation import read_motion as read_gltf_motion, read_rig as read_gltf_rig
@@ -64,11 +66,14 @@ def load_rig(
     betas: npt.ArrayLike | None = None,
     expression: npt.ArrayLike | None = None,
     vertex_colors: bool = True,
+    joints: Mapping[str, str] | None = None,
 ) -> Rig:
-    """Loads a rig; see `lumisplat.avatars.load_rig`."""
+    """Loads a rig; see `lumisplat.avatars.load_rig`, and `load_motion` for ``joints``."""
     path = Path(path)
     suffix = path.suffix.lower()
     refuse_foreign(path)
+    if joints and motion is None:
+        raise SceneError("joints are those of a motion, but there is no motion")
     if suffix == ".bvh":
         if motion is not None:
             raise FormatError(path, f'is a motion without a body: load_rig("walker.glb", motion="{path.name}")')
@@ -89,10 +94,16 @@ def load_rig(
             betas = _betas_of(model, poses) if betas is None else betas
         with parsing(path, "a body model (SMPL)"):
             rig = model.rig(betas, expression)
-    return rig if motion is None else load_motion(motion, rig, path.name, poses)
+    return rig if motion is None else load_motion(motion, rig, path.name, poses, joints)
 
 
-def load_motion(path: PathLike, rig: Rig, name: str = "the rig", poses: BodyPoses | None = None) -> Rig:
+def load_motion(
+    path: PathLike,
+    rig: Rig,
+    name: str = "the rig",
+    poses: BodyPoses | None = None,
+    joints: Mapping[str, str] | None = None,
+) -> Rig:
     """Returns a rig with the clips of a motion file first; see `lumisplat.avatars.load_motion`.
 
     Args:
@@ -100,6 +111,7 @@ def load_motion(path: PathLike, rig: Rig, name: str = "the rig", poses: BodyPose
         rig: The rig.
         name: Name of the rig in messages.
         poses: Content of the file, if it holds AMASS poses and is already read.
+        joints: Names in SMPL of joints of the motion or the rig, by their names there.
     """
     path = Path(path)
     if path.suffix.lower() in (".pkl", *_TORCH):
@@ -107,11 +119,13 @@ def load_motion(path: PathLike, rig: Rig, name: str = "the rig", poses: BodyPose
         raise FormatError(path, f"is not read as a motion: save its poses of SMPL in Python by {poses_file}")
     refuse_foreign(path)
     if path.suffix.lower() == ".npz":
+        if joints:
+            raise SceneError(f"joints applies to other motions than {path.name}, whose joints have the names of SMPL")
         if rig.skeleton.names not in (SMPL, SMPLH, SMPLX):
             raise FormatError(path, f"moves bodies (.npz of SMPL, SMPL-H or SMPL-X), but {name} is none")
         clips = ((poses or read_body_poses(path)).clip(rig.skeleton),)
     else:
-        clips = _fitted(path, rig, name)
+        clips = _fitted(path, rig, name, joints or {})
     named = {clip.name for clip in clips}
     return replace(rig, animations=(*clips, *(clip for clip in rig.animations if clip.name not in named)))
 
@@ -128,7 +142,7 @@ def _betas_of(model: BodyModel, poses: BodyPoses) -> npt.ArrayLike | None:
     return betas
 
 
-def _fitted(path: Path, rig: Rig, name: str) -> tuple[Clip, ...]:
+def _fitted(path: Path, rig: Rig, name: str, joints: Mapping[str, str]) -> tuple[Clip, ...]:
     """Returns the clips of a BVH or glTF file, fitted to a rig; logs which joints do not move."""
     suffix = path.suffix.lower()
     if suffix in GLTF_FILES:
@@ -138,9 +152,14 @@ def _fitted(path: Path, rig: Rig, name: str) -> tuple[Clip, ...]:
         clips = (clip,)
     else:
         raise FormatError(path, f"unknown extension {path.suffix!r} of a motion, expected {_MOTIONS}")
+    names = [one for one in (*source.names, *rig.skeleton.names) if one]
+    for own, joint in joints.items():
+        for key, known in ((own, names), (joint, (*SMPL, *SMPLX))):
+            if key not in known:
+                raise SceneError(f"joints has unknown {key!r}, {suggestion(key, known)}")
     with parsing(path, "a motion of a human"):
         try:
-            done = [retarget(source, clip, rig) for clip in clips]
+            done = [retarget(source, clip, rig, joints) for clip in clips]
         except SceneError as error:
             raise FormatError(path, f"does not fit {name}: {error}") from None
     first = done[0]

@@ -44,6 +44,7 @@ from lumisplat.io.scene_toml.toml_table import (
     NUMBER,
     NUMBER_OR_FLAG,
     NUMBERS,
+    TABLE,
     TABLES,
     TEXT,
     WHOLE,
@@ -80,6 +81,10 @@ ACTOR_KEYS = {
     "motion": TEXT.about(
         "Motion of a rig from another file: `.npz` of AMASS (body models), `.bvh`, `.glb`, `.gltf` or `.vrma`."
     ),
+    "joints": TABLE.about(
+        'Names in SMPL of joints of `motion` or the rig, by their own: `{ "Shin.L" = "left_knee" }`. Default: those '
+        "that other programs use are known."
+    ),
     "gaussians": TEXT.about(
         "A capture that is bound to the rig, in its rest pose: a trained avatar. Default: new Gaussians on its meshes."
     ),
@@ -115,6 +120,7 @@ _KEY_OWNERS = {
     "form": "a rig or a mesh",
     "vertex_colors": "a glTF rig",
     "motion": "a rig",
+    "joints": "a rig",
     "gaussians": "a rig",
     "weights": "a rig",
     "pose": "a rig",
@@ -289,15 +295,18 @@ class Subjects:
     def _rig(self, table: TomlTable, file: Path, given: Values, mesh_keys: set[str]) -> Subject:
         """Loads a rig as a rig, as new Gaussians on its meshes, or with a capture that is bound to it."""
         is_body, as_mesh = file.suffix.lower() in BODY_FILES, given.get("form") == "mesh"
-        known = {*mesh_keys, "motion", *_BOUND, "betas" if is_body else "vertex_colors"}
+        known = {*mesh_keys, "motion", "joints", *_BOUND, "betas" if is_body else "vertex_colors"}
         _refuse_foreign_keys(table, given, known, "a rig as a mesh" if as_mesh else "a rig")
         for key in _BOUND:
             if key in given and "gaussians" not in given:
                 raise table.error(f"{key} is that of a capture, but there is no gaussians", key)
+        if not all(isinstance(joint, str) for joint in given.get("joints", {}).values()):
+            raise table.wrong("joints", 'names of SMPL, such as { "Shin.L" = "left_knee" }')
         motion = table.file("motion") if "motion" in given else None
         colors = given.get("vertex_colors", True)
         try:
-            rig = load_rig(file, motion=motion, betas=given.get("betas"), vertex_colors=colors)
+            joints, betas = given.get("joints"), given.get("betas")
+            rig = load_rig(file, motion=motion, betas=betas, vertex_colors=colors, joints=joints)
         except FormatError as error:
             if motion is None or error.path != str(motion):
                 raise

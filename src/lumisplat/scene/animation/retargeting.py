@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -64,18 +64,26 @@ _STANCE_SPEED = 0.2
 """A foot stands while its ankle moves up or down by at most this many leg lengths a second."""
 _TILT_MIN = math.radians(8.0)
 """Feet that the reference tilts by less than this angle count as flat."""
+_LISTED = 6
+"""An error names at most this many joints of a skeleton."""
 _STEP = 1.0 / 30.0
 """Time between further keys, seconds, of clips with gaps of twice that: world rotations interpolate otherwise."""
 
 
-def human_joints(skeleton: Skeleton) -> dict[str, int]:
+def human_joints(skeleton: Skeleton, named: Mapping[str, str] | None = None) -> dict[str, int]:
     """Returns the nodes of a skeleton that are known as joints of a human, by their names in SMPL.
 
     Nodes with other names are returned, too, by their own names in lower case without prefix and punctuation.
+
+    Args:
+        skeleton: The skeleton.
+        named: Names in SMPL of nodes, by their own names; None: those that other programs give are known.
     """
-    plain = {node: _plain(skeleton.names[node]) for node in skeleton.order if skeleton.names and skeleton.names[node]}
+    named = named or {}
+    names = {node: skeleton.names[node] for node in skeleton.order if skeleton.names and skeleton.names[node]}
+    found = {named[name]: node for node, name in names.items() if name in named}
+    plain = {node: _plain(name) for node, name in names.items() if name not in named}
     known = max((_known(style, plain.values()) for style in _STYLES), key=len)
-    found: dict[str, int] = {}
     spine: list[int] = []
     for node, name in plain.items():
         finger = _FINGER.fullmatch(name)
@@ -94,13 +102,19 @@ def _plain(name: str) -> str:
 
 def _known(style: tuple[str, Sequence[str]], names: Iterable[str]) -> dict[str, str]:
     """Returns the SMPL name of each of the names that a style of naming knows."""
+    table = _table(style)
+    return {name: table[name] for name in names if name in table}
+
+
+def _table(style: tuple[str, Sequence[str]]) -> dict[str, str]:
+    """Returns the SMPL names of all names of a style of naming."""
     pattern, limbs = style
     table = {name: joint for joint, choices in _CENTRE.items() for name in choices.split("|")}
     for joint, choices in zip(_LIMBS, limbs, strict=True):
         for limb in choices.split("|"):
             for side in _SIDES:
                 table[pattern.format(side=side, initial=side[0], limb=limb)] = f"{side}_{joint}"
-    return {name: table[name] for name in names if name in table}
+    return table
 
 
 class Retargeted(NamedTuple):
@@ -151,13 +165,14 @@ class _Motion:
         return np.array([track.at(float(time)) for time in self.times])
 
 
-def retarget(source: Skeleton, clip: Clip, rig: Rig) -> Retargeted:
+def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | None = None) -> Retargeted:
     """Returns a clip that moves a human rig as another skeleton.
 
     Args:
         source: Skeleton of the clip, y up.
         clip: Rotations of its joints, and translations of its hips.
         rig: Rig to move, y up.
+        named: Names in SMPL of nodes of both, as for `human_joints`.
 
     Raises:
         SceneError: One of the skeletons has no hips or legs of known names; the message lists what it lacks.
@@ -165,14 +180,10 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig) -> Retargeted:
     target = rig.skeleton
     skinned = {int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes}
     movable = (skinned or set(target.order)).difference(target.matrices)
-    theirs, ours = human_joints(source), {k: node for k, node in human_joints(target).items() if node in movable}
-    for names, owner in ((theirs, "the motion"), (ours, "the rig")):
-        lacking = [name for name in ("pelvis", *_LEGS) if name not in names]
-        if lacking:
-            raise SceneError(
-                f"{owner} has no joint known as {', '.join(lacking)}: rename its joints as in SMPL, Mixamo, "
-                "MotionBuilder, VRM, Poser or Unreal"
-            )
+    theirs = human_joints(source, named)
+    ours = {k: node for k, node in human_joints(target, named).items() if node in movable}
+    _check_legs("the motion", source, theirs)
+    _check_legs("the rig", target, ours)
     times = np.unique(np.concatenate([track.times for track in clip.tracks] or [np.zeros(1)]))
     if times.size > 1 and np.diff(times).max() > 2.0 * _STEP:
         times = np.unique(np.concatenate([times, np.arange(times[0], times[-1], _STEP)]))
@@ -187,6 +198,22 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig) -> Retargeted:
         sorted({source.names[node] for node in animated} - {source.names[node] for node in matched.values()}),
         sorted(target.names[node] for name, node in ours.items() if name not in theirs),
         not is_standing,
+    )
+
+
+def _check_legs(owner: str, skeleton: Skeleton, joints: dict[str, int]) -> None:
+    """Raises a SceneError if a skeleton has no hips or legs; the message has its names, and those that fit to them."""
+    lacking = [joint for joint in ("pelvis", *_LEGS) if joint not in joints]
+    if not lacking:
+        return
+    style = max(_STYLES, key=lambda one: len(_known(one, map(_plain, skeleton.names))))
+    known = [name for name, joint in _table(style).items() if joint == lacking[0]]
+    others = [skeleton.names[node] for name, node in joints.items() if name == _plain(skeleton.names[node])]
+    more = f" and {len(others) - _LISTED} more" if len(others) > _LISTED else ""
+    listed = f", but {', '.join(others[:_LISTED])}{more}" if others else ""
+    raise SceneError(
+        f"{owner} has no joint known as {', '.join(lacking)}{listed}: name its joints by "
+        f'joints={{"NAME": "{lacking[0]}"}}, or rename them, this one to {" or ".join(known)}'
     )
 
 
