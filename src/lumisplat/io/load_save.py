@@ -455,9 +455,9 @@ def load_rig(
     A body model has shape and pose blend shapes (Loper et al. 2015), y up, in metres. At rest its arms are spread.
 
     Args:
-        path: A ``.glb``, ``.gltf`` or ``.vrm`` file, a body model as ``.npz`` or ``.pkl``, or a ``.bvh``: a skeleton
-            without meshes, to which `bind_gaussians` binds given Gaussians. A ``.pkl`` is read as data: code in it is
-            not run. A ``.fbx`` is refused with the command that converts it.
+        path: A ``.glb``, ``.gltf`` or ``.vrm`` file, a body model as ``.npz``, or a ``.bvh``: a skeleton without
+            meshes, to which `bind_gaussians` binds given Gaussians. A ``.pkl`` or ``.fbx`` is refused with the command
+            that converts it.
         motion: File whose clips come first: AMASS poses (``.npz``) for body models, or ``.bvh``, ``.glb``, ``.gltf`` or
             ``.vrma`` for body models and humans in glTF. The latter are matched by the names of joints, and fitted to
             the rest pose and the leg length; a log line names joints that are not matched.
@@ -653,12 +653,12 @@ def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _L
 
 def _refuse_rig(path: Path, extension: str) -> None:
     """Raises `FormatError` for rigs and motions that are no scenes; the message says how they are loaded."""
-    from lumisplat.io.rigs.loading import SAVED, refuse_foreign
+    from lumisplat.io.rigs.loading import refuse_foreign
 
     refuse_foreign(path)
-    if what := {".npz": "a body model or poses", ".pkl": "a body model", ".bvh": "a motion"}.get(extension):
+    if what := {".npz": "a body model or poses", ".bvh": "a motion"}.get(extension):
         use = "use it in [[actors]] of a scene file, or by ls.avatars.load_rig(path, motion=)"
-        raise FormatError(path, f"may be {what}: {use}" + f"; else, {SAVED}" * (extension == ".pkl"))
+        raise FormatError(path, f"may be {what}: {use}")
 
 
 def _writer_of(path: PathLike, *, scene: bool) -> str:

@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.io.rigs import convert_pickle
+from lumisplat.io.rigs.convert_pickle import read_pickled_arrays
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_rotation_vectors
 from support.files.body_files import body_arrays, body_file, pose_file
 from support.kinds import present
@@ -183,23 +185,48 @@ def test_a_sparse_regressor_is_read_after_the_conversion_that_the_error_names(tm
 def test_truncated_or_damaged_body_files_raise_only_format_errors(tmp_path: Path) -> None:
     """At any length, and with any bit flipped, a file is refused in one line or read."""
     body, motion = body_file(tmp_path / "body.npz", "SMPL", directions=2), pose_file(tmp_path / "walk.npz", "SMPL")
-    pickled = tmp_path / "body.pkl"
-    pickled.write_bytes(pickle.dumps(body_arrays("SMPL", directions=2), 2))
     rng = np.random.default_rng(3)
-    for path in (body, motion, pickled):
-        rig = pickled if path is pickled else body
+    for path in (body, motion):
         whole = path.read_bytes()
         for length in np.linspace(1, len(whole) - 1, 15).astype(int):
             path.write_bytes(whole[:length])
             with pytest.raises(ls.FormatError):
-                ls.avatars.load_rig(rig, motion=motion)
+                ls.avatars.load_rig(body, motion=motion)
         for place in (*rng.integers(0, len(whole), 15), *rng.integers(len(whole) - 400, len(whole), 15)):
             damaged = bytearray(whole)
             damaged[place] ^= 1 << int(rng.integers(0, 8))
             path.write_bytes(damaged)
             with contextlib.suppress(ls.FormatError):
-                ls.avatars.load_rig(rig, motion=motion)
+                ls.avatars.load_rig(body, motion=motion)
         path.write_bytes(whole)
+
+
+def test_truncated_or_damaged_pickles_raise_only_format_errors(tmp_path: Path) -> None:
+    """At any length, and with any bit flipped, a pickle is refused in one line or converted."""
+    path = tmp_path / "body.pkl"
+    whole, rng = pickle.dumps(body_arrays("SMPL", directions=2), 2), np.random.default_rng(3)
+    for length in np.linspace(1, len(whole) - 1, 15).astype(int):
+        path.write_bytes(whole[:length])
+        with pytest.raises(ls.FormatError):
+            read_pickled_arrays(path)
+    for place in (*rng.integers(0, len(whole), 15), *rng.integers(len(whole) - 400, len(whole), 15)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(rng.integers(0, 8))
+        path.write_bytes(damaged)
+        with contextlib.suppress(ls.FormatError):
+            read_pickled_arrays(path)
+
+
+def _converted(path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Converts a pickle by the command in the error about it; returns the .npz."""
+    with pytest.raises(ls.FormatError, match="is a pickle, which is not read: convert a body model") as caught:
+        ls.avatars.load_rig(path)
+    words = shlex.split(str(caught.value).partition(" to .npz by ")[2].partition(" ; ")[0])
+    assert words[:3] == [sys.executable, "-m", "lumisplat.io.rigs.convert_pickle"]
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "argv", words[2:])
+        convert_pickle.main()
+    return path.with_suffix(".npz")
 
 
 def _chumpy(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
@@ -246,7 +273,8 @@ def test_pickled_bodies_equal_those_of_archives(
         changes |= {"posedirs": np.asfortranarray(arrays["posedirs"]), "weights": arrays["weights"].astype(">f8")}
         kind(file, protocol).dump(arrays | changes | {"bs_style": "lbs", 3: template})
     body, motion = body_file(tmp_path / "expected.npz", "SMPL", directions=10), pose_file(tmp_path / "a.npz", "SMPL")
-    found, expected = (ls.avatars.load_rig(file, betas=[1.0, 2.0], motion=motion) for file in (path, body))
+    converted = _converted(path, monkeypatch)
+    found, expected = (ls.avatars.load_rig(file, betas=[1.0, 2.0], motion=motion) for file in (converted, body))
     np.testing.assert_array_equal(found.pose(0.07).positions, expected.pose(0.07).positions)
     np.testing.assert_array_equal(found.mesh.indices, expected.mesh.indices)
 
@@ -260,17 +288,18 @@ class _Harmful:
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 5])
-def test_pickles_that_would_run_code_run_none(tmp_path: Path, protocol: int) -> None:
-    """Named functions are not called, wherever they stand; the arrays beside them are read, or the file is refused."""
+def test_pickles_that_would_run_code_run_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: int) -> None:
+    """Named functions are not called, wherever they stand; the arrays beside them are converted."""
     made, path = str(tmp_path / "made"), tmp_path / "SMPL.pkl"
     for call in ((os.mkdir, made), (exec, f"open({made!r}, 'w')"), (np.testing.runstring, f"open({made!r}, 'w')", {})):
         arrays = body_arrays("SMPL", directions=2)
-        path.write_bytes(pickle.dumps(arrays | {"harm": _Harmful(*call)}, protocol))
-        ls.avatars.load_rig(path)
-        for harm in ({"v_template": _Harmful(*call)}, {"f": [_Harmful(*call)]}, _Harmful(*call)):
-            path.write_bytes(pickle.dumps(arrays | harm if isinstance(harm, dict) else harm, protocol))
-            with pytest.raises(ls.FormatError, match=r"SMPL.pkl: (damaged, or not a body model|lacks f)"):
-                ls.avatars.load_rig(path)
+        path.write_bytes(pickle.dumps(arrays | {"harm": _Harmful(*call), "v_template": _Harmful(*call)}, protocol))
+        with pytest.raises(ls.FormatError, match="lacks v_template: expected a model of SMPL"):
+            ls.avatars.load_rig(_converted(path, monkeypatch))
+        for harm in ({"f": [_Harmful(*call)]}, _Harmful(*call)):
+            path.write_bytes(pickle.dumps(harm, protocol))
+            with pytest.raises(SystemExit, match=r"error: .*SMPL.pkl: holds no arrays, expected a body model"):
+                _converted(path, monkeypatch)
     assert not os.path.exists(made)
 
 

@@ -1,4 +1,4 @@
-"""Reads body models of the SMPL family from NumPy archives and pickles, and makes rigs of them.
+"""Reads body models of the SMPL family from NumPy archives, and makes rigs of them.
 
 A vertex is the template plus shape, expression and pose blend shapes, moved by linear blend skinning about joints that
 are regressed from the shaped template (Loper et al. 2015, equations 2 to 10; SMPL-X: Pavlakos et al. 2019). The axes
@@ -17,7 +17,6 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.source import parsing
-from lumisplat.io.rigs.pickles import read_pickled_arrays
 from lumisplat.math.arrays import Doubles, IntArray, finite_array, read_only_view
 from lumisplat.math.transforms import quaternions_from_rotation_vectors
 from lumisplat.scene.animation.rig import PoseShapes, Rig, RigPart, RigSurface, Skeleton
@@ -124,18 +123,14 @@ def read_body_model(path: Path) -> BodyModel:
     """Reads a SMPL, SMPL-H, SMPL-X or FLAME model; objects in the archive, such as tables of names, are not read.
 
     Args:
-        path: A ``.npz`` or ``.pkl`` file.
+        path: A ``.npz`` file.
 
     Raises:
         FormatError: The file is damaged, is no body model, or a needed array holds Python objects.
         MissingFileError: There is no such file.
     """
     with parsing(path, _KIND):
-        names = (*_REQUIRED, *_HAND_MEANS, "poses")
-        if path.suffix.lower() == ".pkl":
-            arrays = read_pickled_arrays(path, _KIND, names)
-        else:
-            arrays = read_arrays(path, _KIND, compressed=True, names=names)
+        arrays = read_arrays(path, _KIND, compressed=True, names=(*_REQUIRED, *_HAND_MEANS, "poses"))
         missing = [name for name in _REQUIRED if name not in arrays]
         if missing and "poses" in arrays:
             raise FormatError(path, f'holds poses, not a body: load_rig("SMPLX_NEUTRAL.npz", motion="{path.name}")')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shlex
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +25,9 @@ _log = logging.getLogger("lumisplat")
 
 GLTF_FILES = (".glb", ".gltf", ".vrm", ".vrma")
 """Extensions of rigs and motions that are glTF; .vrm and .vrma are GLB."""
-BODY_FILES = (".npz", ".pkl")
+BODY_FILES = (".npz",)
 """Extensions of body models of the SMPL family."""
-_RIGS = ".glb, .gltf, .vrm, or .npz or .pkl of SMPL, SMPL-H, SMPL-X, FLAME"
+_RIGS = ".glb, .gltf, .vrm, or .npz of SMPL, SMPL-H, SMPL-X, FLAME"
 _MOTIONS = ".npz of AMASS, .bvh, .glb, .gltf or .vrma"
 _LISTED = 6
 """Log lines name at most this many joints."""
@@ -55,6 +56,10 @@ def refuse_foreign(path: PathLike) -> None:
         files = " ".join(shlex.quote(str(file)) for file in (path, path.with_suffix(".glb")))
         command = f'blender --background --python-expr "{_TO_GLB}" -- {files}'
         raise FormatError(path, f"is FBX, which is not read: convert it by {command}")
+    if suffix == ".pkl":
+        command = f"{shlex.quote(sys.executable)} -m lumisplat.io.rigs.convert_pickle {shlex.quote(str(path))}"
+        told = f"convert a body model (SMPL) to .npz by {command} ; of an avatar, {SAVED}"
+        raise FormatError(path, f"is a pickle, which is not read: {told}")
     if suffix in _TORCH:
         raise FormatError(path, f"is a file of PyTorch, which is not read: {SAVED}")
 
@@ -83,7 +88,7 @@ def load_rig(
         raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected {_RIGS}")
     is_gltf = suffix in GLTF_FILES
     if is_gltf and (betas is not None or expression is not None):
-        raise FormatError(path, "has no betas or expression: they shape a body model (SMPL), .npz or .pkl")
+        raise FormatError(path, "has no betas or expression: they shape a body model (SMPL), a .npz")
     poses = None
     if is_gltf:
         rig = read_gltf_rig(path, vertex_colors)

@@ -66,7 +66,7 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 ACTOR_KEYS = {
     "path": TEXT.about(
-        "A `.glb`, `.gltf` or `.vrm` with a skin or animation, a `.npz` or `.pkl` of SMPL, SMPL-H, SMPL-X or FLAME, a "
+        "A `.glb`, `.gltf` or `.vrm` with a skin or animation, a `.npz` of SMPL, SMPL-H, SMPL-X or FLAME, a "
         "folder of frames, a capture or a mesh. Required."
     ),
     **PLACEMENT,

@@ -35,8 +35,8 @@ class Keyframes:
     """Uniform scale factors, above 0, shape (K,); None: 1."""
 
     def __post_init__(self) -> None:
-        count = np.size(self.times)
-        times = checked_times(self.times, count)
+        times = checked_times(self.times)
+        count = times.size
         rest = {
             "positions": np.zeros((count, 3)),
             "rotations_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
@@ -100,17 +100,18 @@ def check_time(time: float) -> None:
         raise SceneError(f"time is {time}, expected seconds, a finite number")
 
 
-def checked_times(times: npt.ArrayLike, count: int) -> Doubles:
-    """Returns the times of ``count`` keys, shape (count,).
+def checked_times(times: npt.ArrayLike, count: int | None = None) -> Doubles:
+    """Returns the times of ``count`` keys, shape (count,); of any number if it is None.
 
     Raises:
         SceneError: There is no key, a time is not finite, their number differs, or they do not increase.
     """
     checked = finite_array("times", times, np.float64)
-    if count == 0:
+    if checked.size == 0 or count == 0:
         raise SceneError("times is empty: expected at least one key")
-    if checked.shape != (count,):
-        raise SceneError(f"times has shape {checked.shape}, expected one time for each of {count} keys")
+    if checked.ndim != 1 or checked.size != (checked.size if count is None else count):
+        wanted = "one time for each key" if count is None else f"one time for each of {count} keys"
+        raise SceneError(f"times has shape {checked.shape}, expected {wanted}")
     falls = np.flatnonzero(np.diff(checked) <= 0.0)
     if falls.size:
         k = int(falls[0])

@@ -1,4 +1,6 @@
-"""Reads arrays from pickles, in which SMPL's authors distribute body models, without running what a pickle names.
+"""Converts a pickled body model, as SMPL's authors distribute it, to .npz without running what the pickle names.
+
+    python -m lumisplat.io.rigs.convert_pickle SMPL_NEUTRAL.pkl
 
 A pickle names the classes and functions that make its objects. All of them are replaced by one that only keeps what it
 is given, so nothing is imported or called. The arrays are then made from the kept bytes.
@@ -6,17 +8,19 @@ is given, so nothing is imported or called. The arrays are then made from the ke
 
 from __future__ import annotations
 
+import contextlib
 import io
 import pickle
 import struct
-from collections.abc import Collection
+import sys
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.errors import FormatError
+from lumisplat.errors import FormatError, LumisplatError
+from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import read_bytes
 
 _Array = npt.NDArray[Any]
@@ -46,27 +50,46 @@ class _Unpickler(pickle._Unpickler):  # pyright: ignore[reportPrivateUsage]
         return _Kept
 
 
-def read_pickled_arrays(path: Path, kind: str, names: Collection[str]) -> dict[str, _Array]:
-    """Reads arrays from a pickled dictionary: those of NumPy, of SciPy's csc_matrix, and of chumpy's Ch and Select.
+def main() -> None:
+    """Writes the arrays of a pickle into a .npz beside it."""
+    if len(sys.argv) != 2:
+        sys.exit("usage: python -m lumisplat.io.rigs.convert_pickle FILE.pkl")
+    path = Path(sys.argv[1])
+    try:
+        arrays = read_pickled_arrays(path)
+        written = path.with_suffix(".npz")
+        with atomic_write(written) as temporary:
+            np.savez_compressed(temporary, **arrays)  # pyright: ignore[reportArgumentType] # names are keywords
+    except LumisplatError as error:
+        sys.exit(f"error: {error}")
+    print(written)
+
+
+def read_pickled_arrays(path: Path) -> dict[str, _Array]:
+    """Reads the arrays of a pickled dictionary: those of NumPy, of SciPy's csc_matrix, and of chumpy's Ch and Select.
+
+    Entries that are no such arrays are left out.
 
     Args:
         path: The file.
-        kind: The expected kind of file for messages.
-        names: Keys of the arrays to read, if the dictionary has them; others may hold anything.
 
     Raises:
-        FormatError: The file is no pickle of a dictionary, or an array in it is damaged.
+        FormatError: The file is no pickle of a dictionary of arrays.
         MissingFileError: There is no such file.
     """
     data = read_bytes(path)
     try:
         content: Any = _Unpickler(io.BytesIO(data), encoding="latin1").load()
-        if not isinstance(content, dict):
-            raise TypeError("no dictionary")
-        held = cast("dict[object, object]", content)
-        return {name: _array(value) for name in names if isinstance(value := held.get(name), _Kept)}
     except (*_DAMAGES, pickle.UnpicklingError) as error:
-        raise FormatError(path, f"damaged, or not {kind}") from error
+        raise FormatError(path, "damaged, or not a pickle") from error
+    arrays: dict[str, _Array] = {}
+    for name, value in cast("dict[object, object]", content).items() if isinstance(content, dict) else ():
+        with contextlib.suppress(*_DAMAGES):
+            if isinstance(name, str) and isinstance(value, _Kept):
+                arrays[name] = _array(value)
+    if not arrays:
+        raise FormatError(path, "holds no arrays, expected a body model (SMPL)")
+    return arrays
 
 
 def _array(kept: _Kept) -> _Array:
@@ -97,3 +120,7 @@ def _of_bytes(data: Any, kept: _Kept) -> _Array:
     if dtype.kind not in "biuf":
         raise ValueError(f"an array of {dtype}, expected numbers")
     return np.frombuffer(data.encode("latin1") if isinstance(data, str) else data, dtype)
+
+
+if __name__ == "__main__":
+    main()
