@@ -570,6 +570,17 @@ def test_a_relit_figure_of_known_albedo_is_as_bright_as_its_surroundings_make_it
     assert brightness(0.125, 0.6, albedo=0.4) == pytest.approx(0.6 * grey * 0.4 / 0.5, rel=0.02)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_the_light_of_a_capture_does_not_depend_on_the_units_of_its_file(unit: float) -> None:
+    """A small figure of known albedo is as bright as a large one."""
+    ball = replace(puppet().gaussians, albedo=np.full((puppet().gaussians.count, 3), 0.5, np.float32))
+    ball = replace(ball, means=ball.means * np.float32(unit), scales=ball.scales * np.float32(unit))
+    ground = captured(floor().means * np.float32(unit), np.full(3, 0.8), scale=0.1 * unit)
+    stage = lighter(ls.Scene([ground]), relight=True, transfer=ls.config.RelightConfig(), lights_on_actors=False)
+    shown = decode_srgb(stage.light([ball]).splats[1].gaussians.sh[:, 0] * SH_C0 + 0.5).mean()
+    assert shown == pytest.approx(0.5, rel=0.15)
+
+
 def test_an_open_place_lights_figures_from_where_no_capture_is() -> None:
     """The sky that a captured floor leaves open lights the upper side most; a given background is taken instead."""
     scene = ls.Scene(splats=[floor(cells=41)])

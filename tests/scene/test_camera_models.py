@@ -11,7 +11,6 @@ from hypothesis import given, strategies as st
 
 import lumisplat as ls
 from lumisplat.renderer.scene.camera_table import refuse_lens
-from support.oracles.camera_oracle import camera_rays
 from support.scenes.raster_scenes import front_camera, one_gaussian, rotation
 
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
@@ -67,20 +66,6 @@ def test_rays_of_an_orthographic_camera_are_parallel() -> None:
     pinhole = ls.Camera.look_at(**arguments)
     assert camera.fx == camera.fy == pytest.approx(pinhole.fx / 4.0)
     assert camera.fov_y == 0.0
-
-
-@pytest.mark.parametrize("model", list(ls.CameraModel))
-def test_ray_of_a_pixel_is_that_of_the_whole_image_also_in_a_window(model: ls.CameraModel) -> None:
-    """Origin and direction in the world equal those of the definitions, turned and moved by the pose."""
-    pose = posed(rotation((0.3, 1.0, 0.2), 0.7), (1.0, -2.0, 0.5))
-    camera = replace(front_camera(40, 32, fx=26.0, fy=25.0, cx=19.0, cy=15.0, model=model), camera_from_world=pose)
-    origins, directions, _ = camera_rays(camera)
-    part = replace(camera, window=(16, 16, 24, 16))
-    for column, row in ((16, 16), (39, 20), (25, 31)):
-        for seen, x, y in ((camera, column, row), (part, column - 16, row - 16)):
-            origin, along = seen.pixel_ray(x, y)
-            np.testing.assert_allclose(origin, origins[row, column], atol=1e-12)
-            np.testing.assert_allclose(along, directions[row, column], atol=1e-12)
 
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))

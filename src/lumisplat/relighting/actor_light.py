@@ -16,6 +16,7 @@ from lumisplat.config import AvatarLightingConfig, Pipeline, RenderConfig
 from lumisplat.constants import LUMINANCE, SH_C0, SHADOW_OFFSET
 from lumisplat.math.arrays import Doubles, FloatArray, weighted_quantile
 from lumisplat.math.color import decode_srgb
+from lumisplat.metrics.materials import BLACK
 from lumisplat.progress import Progress
 from lumisplat.relighting.actors import PlacedActor, centroid, light_factors, light_shares
 from lumisplat.relighting.irradiance import ALBEDO_HIGH, LIGHTEST
@@ -364,5 +365,5 @@ def _captured_light(gaussians: Gaussians) -> float:
         return 1.0
     if gaussians.albedo is None:
         return float(np.clip(weighted_quantile(colors, areas, LIGHTEST) / ACTOR_ALBEDO_HIGH, CAPTURED_LIGHT_MIN, 1.0))
-    reflected = float(areas @ gaussians.albedo.max(axis=1))
-    return max(float(areas @ colors), 1e-3) / reflected if reflected > 0.0 else 1.0
+    shown, reflected = (float(np.average(values, weights=areas)) for values in (colors, gaussians.albedo.max(axis=1)))
+    return max(shown, BLACK) / max(reflected, BLACK)

@@ -256,26 +256,6 @@ class Camera:
             rays[np.isnan(rays[..., 0])] = 0.0
         return rays
 
-    def pixel_ray(self, column: int, row: int) -> tuple[Doubles, Doubles]:
-        """Returns the origin and unit direction of the ray through a pixel's centre, world space, shape (3,) each.
-
-        Args:
-            column: Column of the pixel in the image, from 0 on the left.
-            row: Row of the pixel in the image, from 0 at the top.
-
-        Raises:
-            SceneError: The pixel has no ray, at the edge of a fisheye or distorted image.
-        """
-        along, turn = self.ray_directions()[row, column], self.camera_from_world[:3, :3]
-        if not along.any():
-            raise SceneError(f"pixel {column},{row} has no ray: the lens shows nothing there")
-        origin = self.eye
-        if self.model is CameraModel.ORTHOGRAPHIC:
-            left, top = self.image_corner
-            origin = origin + (left + column + 0.5 - self.cx) / self.fx * turn[0]
-            origin = origin + (top + row + 0.5 - self.cy) / self.fy * turn[1]
-        return origin, along @ turn
-
     def scaled(self, width: int | None = None, height: int | None = None) -> Camera:
         """Returns the same view at another resolution; a missing side follows from the aspect ratio.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,16 @@ import lumisplat as ls
 from lumisplat.io.rigs.bvh import read_bvh
 from lumisplat.math.transforms import matrices_from_quaternions, multiply_quaternions
 from lumisplat.scene.animation.retargeting import human_joints, retarget
-from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Rig, Skeleton, Track
+from lumisplat.scene.animation.rig import (
+    Channel,
+    Clip,
+    Interpolation,
+    Rig,
+    RigPart,
+    RigSurface,
+    Skeleton,
+    Track,
+)
 from support.files.body_files import body_file, joint_place, person_bvh, pose_file
 from support.files.rig_files import BEND, TubeRig
 
@@ -232,54 +240,98 @@ def test_hips_move_as_in_a_motion_whose_root_above_them_turns_and_moves() -> Non
         np.testing.assert_allclose(rig.skeleton.world_from_node(done.clip, time)[1:], expected, atol=1e-9)
 
 
-def test_feet_stand_flat_on_the_ground_though_the_skeleton_rests_with_spread_legs(tmp_path: Path) -> None:
+STANDING = (0, 0, 0)
+
+
+def frame(height: float, left: tuple[float, float, float] = STANDING, right: tuple[float, float, float] = STANDING,
+          spread: float = 0.0) -> str:  # fmt: skip
+    """Returns a line of `person_bvh`: the hips' height, and rotations of hip, knee and ankle about x, degrees.
+
+    Legs that rest with a spread are closed.
+    """
+    legs = (
+        f"{-side * spread} {hip} 0  0 {knee} 0  0 {foot} 0" for side, (hip, knee, foot) in ((1.0, left), (-1.0, right))
+    )
+    return f"7 {height} 9 0 0 0  0 0 0  0 0 0  {'  '.join(legs)}\n"
+
+
+def feet(tmp_path: Path, rows: str, rig: Rig, spread: float = 0.0, time: float = 0.0) -> list[tuple[float, float]]:
+    """Moves a rig of a body by a BVH file; returns the height of each sole, and how far each foot is pitched, degrees.
+
+    The soles of the small test body are 0.1 m below its ankles.
+    """
+    (tmp_path / "move.bvh").write_text(person_bvh(rows, spread=spread))
+    done = ls.avatars.load_motion(tmp_path / "move.bvh", rig)
+    world, rest = done.skeleton.world_from_node(done.animations[0], time), rig.skeleton.world_from_node()
+    nodes = [rig.skeleton.names.index(f"{side}_ankle") for side in ("left", "right")]
+    found: list[tuple[float, float]] = []
+    for node in nodes:
+        turn = world[node, :3, :3] @ rest[node, :3, :3].T
+        np.testing.assert_allclose(turn[0], [1.0, 0.0, 0.0], atol=1e-6)  # neither rolled nor turned
+        found.append((world[node, 1, 3] - 0.1, float(np.degrees(np.arctan2(turn[2, 1], turn[1, 1])))))
+    return found
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Rig:
+    """Returns a SMPL body whose lowest vertices belong to its toes."""
+    return ls.avatars.load_rig(body_file(tmp_path / "smpl.npz", "SMPL", rigid=True))
+
+
+def test_feet_stand_flat_on_the_ground_though_the_skeleton_rests_with_spread_legs(tmp_path: Path, small: Rig) -> None:
     """As in CMU's files: legs rest 20 degrees apart, with feet tilted as much, and the motion closes them."""
-    rig = ls.avatars.load_rig(body_file(tmp_path / "smpl.npz", "SMPL"))
-
-    def row(lift: int) -> str:
-        return f"7 -3 9 0 0 0  0 0 0  0 0 0  -20 {-lift} 0  0 {lift} 0  0 0 0  20 0 0  0 0 0  0 0 0\n"
-
-    (tmp_path / "close.bvh").write_text(person_bvh(row(0) + row(0) + row(40) + row(0), spread=20.0))
-    done = ls.avatars.load_motion(tmp_path / "close.bvh", rig)
-    rest, lowest = rig.skeleton.world_from_node(), min(mesh.positions[:, 1].min() for mesh in rig.meshes)
-    world = done.skeleton.world_from_node(done.animations[0], 0.0)
-    for foot in (rig.skeleton.names.index(f"{side}_ankle") for side in ("left", "right")):
-        np.testing.assert_allclose(world[foot, :3, :3], rest[foot, :3, :3], atol=1e-6)
-        np.testing.assert_allclose(world[foot, 1, 3], rest[foot, 1, 3] - lowest, atol=1e-6)
+    lifted = frame(-3, left=(-40, 40, 0), spread=20.0)
+    rows = [frame(-3, spread=20.0), frame(-3, spread=20.0), lifted, frame(-3, spread=20.0)]
+    np.testing.assert_allclose(feet(tmp_path, "".join(rows), small, spread=20.0), 0.0, atol=1e-6)
 
 
-def test_motions_with_unknown_joints_fit_after_the_advice_of_their_error(tmp_path: Path) -> None:
-    """The error has names of the file; joints are named by the argument that it shows, or renamed as it shows."""
-    still = " 0" * 27
-    known = person_bvh(f"0 40 0{still}\n0 40 33{still}\n")
-    path, rig = tmp_path / "hop.bvh", ls.avatars.load_rig(body_file(tmp_path / "smpl.npz", "SMPL"))
-    path.write_text(known)
-    expected = ls.avatars.load_motion(path, rig).pose(0.4).positions
-    path.write_text(known.replace("Knee", "-Shin.x"))
-    with pytest.raises(
-        ls.FormatError, match=r"no joint known as left_knee, right_knee, but Tail, Left-Shin\.x, R"
-    ) as one:
-        ls.avatars.load_motion(path, rig)
-    shown = re.search(r"by joints=(\{.*\}), or rename them, this one to (.*)$", str(one.value))
-    assert shown
-    for name in shown[2].split(" or "):
-        path.write_text(known.replace("RightKnee", "R").replace("LeftKnee", name))
-        named = ls.avatars.load_motion(path, rig, joints={"R": "right_knee"})
-        np.testing.assert_allclose(named.pose(0.4).positions, expected, atol=1e-6)
-    joints = eval(shown[1].replace("NAME", "Left-Shin.x")) | {"Right-Shin.x": "right_knee"}
-    path.write_text(known.replace("Knee", "-Shin.x"))
-    named = ls.avatars.load_rig(tmp_path / "smpl.npz", motion=path, joints=joints)
-    np.testing.assert_allclose(named.pose(0.4).positions, expected, atol=1e-6)
-    for wrong, problem in (
-        ({"Left-Shin": "left_knee"}, "joints has unknown 'Left-Shin', did you mean 'Left-Shin.x'?"),
-        ({"Left-Shin.x": "left_kne"}, "joints has unknown 'left_kne', did you mean 'left_knee'?"),
-    ):
-        with pytest.raises(ls.SceneError, match=re.escape(problem)):
-            ls.avatars.load_motion(path, rig, joints=wrong)
-    with pytest.raises(ls.SceneError, match="joints are those of a motion, but there is no motion"):
-        ls.avatars.load_rig(tmp_path / "smpl.npz", joints=joints)
-    with pytest.raises(ls.SceneError, match=r"joints applies to other motions than walk\.npz"):
-        ls.avatars.load_motion(pose_file(tmp_path / "walk.npz", "SMPL"), rig, joints=joints)
+def test_kneeling_does_not_tell_where_the_ground_is(tmp_path: Path, small: Rig) -> None:
+    """Ankles are lower while the figure kneels, with feet upended, than while it stands."""
+    kneeling = frame(22, (0, 90, 0), (0, 90, 0))
+    rows = 20 * frame(40) + 6 * kneeling
+    np.testing.assert_allclose(feet(tmp_path, rows, small), 0.0, atol=1e-6)
+
+
+def test_a_foot_that_is_always_raised_does_not_stand_on_the_ground(tmp_path: Path, small: Rig) -> None:
+    """With one foot on a box the other one is on the ground; the box has its height, by the length of the legs."""
+    rows = 8 * frame(40, left=(-60, 60, 0))
+    (left, _), (right, _) = feet(tmp_path, rows, small)
+    leg = np.linalg.norm(np.diff([joint_place(f"left_{limb}") for limb in ("hip", "knee", "ankle")], axis=0), axis=1)
+    assert right == pytest.approx(0.0, abs=1e-6)
+    assert left == pytest.approx(17.0 * (1.0 - np.cos(np.pi / 3.0)) / 33.0 * leg.sum(), abs=0.01)
+
+
+def test_heels_that_the_motion_raises_stay_raised(tmp_path: Path, small: Rig) -> None:
+    """A figure on tiptoe throughout is not put on flat feet, for its legs rest upright."""
+    pitches = [pitch for _, pitch in feet(tmp_path, 8 * frame(40, (0, 0, 45), (0, 0, 45)), small)]
+    np.testing.assert_allclose(pitches, 45.0, atol=1e-6)
+
+
+def test_feet_stand_on_the_ground_whatever_hangs_below_them(tmp_path: Path, small: Rig) -> None:
+    """A spear that the pelvis carries reaches below the soles."""
+    pelvis, world = small.skeleton.names.index("pelvis"), small.skeleton.world_from_node()
+    spear = RigPart(
+        positions=np.array([[0.3, -2.0, 0.0], [0.31, -2.0, 0.0], [0.3, 0.0, 0.0]], np.float32),
+        normals=None,
+        nodes=np.array([pelvis], np.int32),
+        joint_from_bind=np.asarray(np.linalg.inv(world[[pelvis]]), np.float64),
+        joints=np.zeros((3, 1), np.int32),
+        weights=np.ones((3, 1), np.float32),
+    )
+    surface = RigSurface((spear,), np.array([[0, 1, 2]], np.int32), ls.MaterialPbr(), None, None, "spear")
+    armed = replace(small, surfaces=(*small.surfaces, surface))
+    np.testing.assert_allclose(feet(tmp_path, 4 * frame(40), armed), 0.0, atol=1e-6)
+
+
+def test_rigs_that_do_not_stand_with_y_up_are_refused(tmp_path: Path) -> None:
+    """Joints of a capture with y down would be folded."""
+    names = ("Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot")
+    above = (None, "Hips", "LeftUpLeg", "LeftLeg", "Hips", "RightUpLeg", "RightLeg")
+    places = [(0.0, 0.0, 0.0), *((x, y, 0.0) for x in (0.1, -0.1) for y in (0.1, 0.5, 0.9))]
+    rig = Rig.of_joints({name: (up, place) for name, up, place in zip(names, above, places, strict=True)})
+    (tmp_path / "move.bvh").write_text(person_bvh(4 * frame(40)))
+    with pytest.raises(ls.FormatError, match="the rig does not stand at rest with y up: motion of other figures does"):
+        ls.avatars.load_motion(tmp_path / "move.bvh", rig)
 
 
 def directions_of_legs(skeleton: Skeleton, clip: Clip) -> np.ndarray:

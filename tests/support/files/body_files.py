@@ -47,13 +47,14 @@ def joint_parents(model: str) -> list[int]:
     return parents
 
 
-def body_arrays(model: str, seed: int = 0, directions: int = 20) -> dict[str, Any]:
+def body_arrays(model: str, seed: int = 0, directions: int = 20, *, rigid: bool = False) -> dict[str, Any]:
     """Returns the arrays of a body model: a small tetrahedron at every joint, and random directions and weights.
 
     Args:
         model: Name of the model: SMPL, SMPL-H, SMPL-X or FLAME.
         seed: Seed of the random numbers.
         directions: Number of shapes, or of shapes and expressions.
+        rigid: Whether each tetrahedron moves with its joint alone, without pose blend shapes.
     """
     rng = np.random.default_rng(seed)
     names = FAMILY[model]
@@ -61,14 +62,14 @@ def body_arrays(model: str, seed: int = 0, directions: int = 20) -> dict[str, An
     corners = 0.04 * np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
     places = np.array([joint_place(name) for name in names])
     weights = np.kron(np.eye(count), np.full((4, 1), 0.7))
-    for row in weights:
+    for row in weights if not rigid else ():
         row[rng.integers(0, count, 3)] += 0.1
     regressor = np.kron(np.eye(count), np.full((1, 4), 0.25))
     tree = np.array([joint_parents(model), range(count)], np.int64)
     arrays = {
         "v_template": (places[:, None] + corners).reshape(-1, 3),
         "shapedirs": 0.01 * rng.standard_normal((vertices, 3, directions)),
-        "posedirs": 0.003 * rng.standard_normal((vertices, 3, 9 * (count - 1))),
+        "posedirs": (0.0 if rigid else 0.003) * rng.standard_normal((vertices, 3, 9 * (count - 1))),
         "J_regressor": regressor,
         "weights": weights / weights.sum(axis=1, keepdims=True),
         "kintree_table": np.where(tree < 0, 2**32 - 1, tree).astype(np.uint32),

@@ -59,9 +59,11 @@ class Profile(LoadingCommand, DeviceCommand):
         with progress_bars() as report:
             scene = self.viewpoint.upright(self.load_scene(self.scene, report))
         camera = self._camera(scene)
-        origin, direction = camera.pixel_ray(*self._pixel(camera))
+        from lumisplat.scene.ops.views import pixel_ray
+
+        origins, directions = pixel_ray(camera, *self._pixel(camera))
         config = scene_settings(scene_file(self.scene))
-        hits = ls.trace_rays(scene, origin, [direction], config, device=self.device, profile=True)
+        hits = ls.trace_rays(scene, origins, directions, config, device=self.device, profile=True)
         assert hits.profile is not None
         if suffix == ".png":
             from lumisplat.io.images.texture import write_png

@@ -16,10 +16,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Doubles
+from lumisplat.math.arrays import Doubles, Flags
 from lumisplat.math.transforms import (
     axis_rotation,
     matrices_from_quaternions,
@@ -27,7 +26,7 @@ from lumisplat.math.transforms import (
     rotation_between,
     transform_points_each,
 )
-from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Rig, Skeleton, Track
+from lumisplat.scene.animation.rig import Channel, Clip, Interpolation, Rig, RigPose, Skeleton, Track
 
 _SIDES = ("left", "right")
 _LIMBS = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
@@ -58,10 +57,13 @@ _BONES = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
 _LEGS = tuple(f"{side}_{limb}" for side in _SIDES for limb in ("hip", "knee", "ankle"))
 _STANDING_MIN = 0.5
 """A skeleton stands at rest if its legs point down with at least this cosine."""
-_STANCE_HEIGHT = 0.02
-"""A foot stands while its ankle is at most this many leg lengths above its lowest heights."""
 _STANCE_SPEED = 0.2
-"""A foot stands while its ankle moves up or down by at most this many leg lengths a second."""
+"""A foot rests while its ankle moves up or down by at most this many leg lengths a second."""
+_STANCE_HEIGHT, _STANCE_QUANTILE = 0.02, 5.0
+"""A resting foot stands if its ankle is at most this many leg lengths above this percentile of both ankles' heights
+while they rest: below it are outliers."""
+_STANCE_SHARE = 0.05
+"""Feet that rest in fewer frames than this fraction do not tell where the ground is."""
 _TILT_MIN = math.radians(8.0)
 """Feet that the reference tilts by less than this angle count as flat."""
 _LISTED = 6
@@ -184,6 +186,8 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | 
     ours = {k: node for k, node in human_joints(target, named).items() if node in movable}
     _check_legs("the motion", source, theirs)
     _check_legs("the rig", target, ours)
+    if not _stands(target.world_from_node(), ours):
+        raise SceneError("the rig does not stand at rest with y up: motion of other figures does not fit it")
     times = np.unique(np.concatenate([track.times for track in clip.tracks] or [np.zeros(1)]))
     if times.size > 1 and np.diff(times).max() > 2.0 * _STEP:
         times = np.unique(np.concatenate([times, np.arange(times[0], times[-1], _STEP)]))
@@ -238,7 +242,7 @@ def _tracks(
     rest = target.world_from_node()
     rest_rotations, reference_rotations = _rotations(rest), _rotations(reference)
     facing = _turn_about_y(_leftwards(rest, ours), _leftwards(reference, matched))
-    stances = {side: _stance(motion, matched, side) for side in _SIDES}
+    stances = _stances(motion, matched)
     joints = {ours[joint]: joint for joint in matched}
     worlds: dict[int, Doubles] = {}
     aligned: dict[int, Doubles] = {}
@@ -256,7 +260,8 @@ def _tracks(
         turns = _rotations(motion.world(theirs)) @ reference_rotations[theirs].T
         side, _, limb = joint.rpartition("_")
         if limb in ("ankle", "foot"):
-            aligned[node] = _tilt(turns[stances[side]]) @ facing
+            leg = reference[matched[f"{side}_ankle"], :3, 3] - reference[matched[f"{side}_hip"], :3, 3]
+            aligned[node] = _tilt(turns[stances[side]], leg) @ facing
         else:
             aligned[node] = _alignment(joint, aligned[node], (rest, ours), (reference, matched))
         worlds[node] = facing.T @ turns @ aligned[node] @ rest_rotations[node]
@@ -269,46 +274,77 @@ def _tracks(
     turned = worlds[pelvis] @ rest_rotations[pelvis].T
     positions = scale * (left + right) / 2.0 @ facing - turned @ (_hips(rest, ours) - rest[pelvis, :3, 3])
     moved = _Motion(target, {(track.node, track.channel): track for track in tracks}, motion.times)
-    lowest = min((mesh.positions[:, 1].min() for mesh in rig.meshes), default=rest[list(joints), 1, 3].min())
-    soles: list[Doubles] = []
+    heights: list[Doubles] = []
     for side, stands in stances.items():
         ankle = ours[f"{side}_ankle"]
-        above_sole = rest[ankle, 1, 3] - lowest
-        heights = positions[:, 1] + moved.world(ankle)[:, 1, 3] - moved.world(pelvis)[:, 1, 3]
-        soles.append(heights[stands] - above_sole)
-    standing = np.concatenate(soles)
-    if standing.size:
-        positions[:, 1] -= np.median(standing)
+        above_hips = moved.world(ankle)[:, 1, 3] - moved.world(pelvis)[:, 1, 3]
+        heights.append((positions[:, 1] + above_hips - rest[ankle, 1, 3])[stands])
+    standing, sole = np.concatenate(heights), _sole(rig, rest, {ours[f"{side}_ankle"] for side in _SIDES})
+    if standing.size and sole is not None:
+        positions[:, 1] -= np.median(standing) + sole
     parent = target.parents[pelvis]
     if parent is not None:
         positions = transform_points_each(np.linalg.inv(moved.world(parent)), positions)
     return [*tracks, Track(pelvis, Channel.TRANSLATION, Interpolation.LINEAR, motion.times, positions)]
 
 
-def _stance(motion: _Motion, joints: dict[str, int], side: str) -> npt.NDArray[np.bool_]:
-    """Returns at which of the T times a foot stands: its ankle is low, rests, and is far below the hip; shape (T,)."""
-    hip, knee, ankle = (motion.world(joints[f"{side}_{limb}"])[:, :3, 3] for limb in ("hip", "knee", "ankle"))
-    leg = float(np.median(np.linalg.norm(hip - knee, axis=1) + np.linalg.norm(knee - ankle, axis=1)))
-    height = ankle[:, 1]
-    speed = np.gradient(height, motion.times) if height.size > 1 else np.zeros(1)
-    is_low = height <= np.percentile(height, 2.0) + _STANCE_HEIGHT * leg
-    return is_low & (np.abs(speed) <= _STANCE_SPEED * leg) & (hip[:, 1] - height >= _STANDING_MIN * leg)
+def _stances(motion: _Motion, joints: dict[str, int]) -> dict[str, Flags]:
+    """Returns for each side at which of the T times its foot stands on the ground, shape (T,).
+
+    A foot rests if its ankle hardly rises or falls, below a shin that is upright, as it is not in a kneeling figure. It
+    stands if it is as low as both feet are at most while they rest.
+    """
+    heights: dict[str, Doubles] = {}
+    rests: dict[str, Flags] = {}
+    for side in _SIDES:
+        hip, knee, ankle = (motion.world(joints[f"{side}_{limb}"])[:, :3, 3] for limb in ("hip", "knee", "ankle"))
+        thigh, shin = (float(np.median(np.linalg.norm(bone, axis=1))) for bone in (hip - knee, knee - ankle))
+        height = heights[side] = ankle[:, 1] / (thigh + shin)
+        speed = np.gradient(height, motion.times) if height.size > 1 else np.zeros(1)
+        is_upright = (knee[:, 1] - ankle[:, 1] >= _STANDING_MIN * shin) & (hip[:, 1] > ankle[:, 1])
+        rests[side] = is_upright & (np.abs(speed) <= _STANCE_SPEED)
+    resting = np.concatenate([heights[side][rests[side]] for side in _SIDES])
+    if resting.size < _STANCE_SHARE * 2 * motion.times.size:
+        return {side: np.zeros(motion.times.size, np.bool_) for side in _SIDES}
+    highest = np.percentile(resting, _STANCE_QUANTILE) + _STANCE_HEIGHT
+    return {side: rests[side] & (heights[side] <= highest) for side in _SIDES}
 
 
-def _tilt(turns: Doubles) -> Doubles:
+def _tilt(turns: Doubles, leg: Doubles) -> Doubles:
     """Returns the rotation, shape (3, 3), that the reference of a foot needs in order to stand flat.
 
-    Some skeletons rest with spread legs, and feet that are tilted with them.
+    Some skeletons rest with spread legs, and feet that are tilted with them. Other tilts are those of the motion, such
+    as a raised heel.
 
     Args:
         turns: World rotations of the foot relative to the reference while it stands, shape (S, 3, 3).
+        leg: From the hip to the ankle in the reference, shape (3,).
     """
     if not len(turns):
         return np.eye(3)
     up = np.median(turns[:, 1], axis=0)  # the vertical in the reference: y by the inverse turn
     up /= np.linalg.norm(up)
-    vertical = np.array([0.0, 1.0, 0.0])
-    return rotation_between(vertical, up) if up[1] < math.cos(_TILT_MIN) else np.eye(3)
+    spread = math.acos(np.clip(-leg[1] / np.linalg.norm(leg), -1.0, 1.0))
+    is_of_rest = _TILT_MIN < math.acos(np.clip(up[1], -1.0, 1.0)) <= spread + _TILT_MIN
+    return rotation_between(np.array([0.0, 1.0, 0.0]), up) if is_of_rest else np.eye(3)
+
+
+def _sole(rig: Rig, rest: Doubles, ankles: set[int]) -> float | None:
+    """Returns the height of the lowest vertex at rest that a foot moves most; None if no vertex is.
+
+    Args:
+        rig: The rig.
+        rest: ``world_from_node`` at rest, shape (N, 4, 4).
+        ankles: Nodes of the ankles.
+    """
+    feet = set(ankles)
+    feet.update(node for node in rig.skeleton.order if rig.skeleton.parents[node] in feet)
+    lowest: list[float] = []
+    for part in (part for surface in rig.surfaces for part in surface.parts):
+        strongest = part.joints[np.arange(len(part.joints)), part.weights.argmax(axis=1)]
+        moved = part.pose_vertices(RigPose(rest, {}))[0][np.isin(part.nodes[strongest], list(feet)), 1]
+        lowest += [float(moved.min())] if moved.size else []
+    return min(lowest, default=None)
 
 
 _Posed = tuple[Doubles, dict[str, int]]
