@@ -2,5 +2,6 @@
 
 from lumisplat.renderer.one_shot import focused, trace_rays, transmittance
 from lumisplat.renderer.rays import RayHits, RayProfile
+from lumisplat.scene.ops.views import pixel_ray
 
-__all__ = ["RayHits", "RayProfile", "focused", "trace_rays", "transmittance"]
+__all__ = ["RayHits", "RayProfile", "focused", "pixel_ray", "trace_rays", "transmittance"]

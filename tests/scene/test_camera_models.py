@@ -11,6 +11,7 @@ from hypothesis import given, strategies as st
 
 import lumisplat as ls
 from lumisplat.renderer.scene.camera_table import refuse_lens
+from support.oracles.camera_oracle import camera_rays
 from support.scenes.raster_scenes import front_camera, one_gaussian, rotation
 
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
@@ -66,6 +67,21 @@ def test_rays_of_an_orthographic_camera_are_parallel() -> None:
     pinhole = ls.Camera.look_at(**arguments)
     assert camera.fx == camera.fy == pytest.approx(pinhole.fx / 4.0)
     assert camera.fov_y == 0.0
+
+
+@pytest.mark.parametrize("model", list(ls.CameraModel))
+def test_ray_of_a_pixel_is_that_of_the_definitions_also_with_a_rolling_shutter(model: ls.CameraModel) -> None:
+    """Origin and direction in the world equal those of the model, at the pose in which the pixel's row is exposed."""
+    first, last = (posed(rotation((0.3, 1.0, 0.2), angle), (1.0, -2.0, angle)) for angle in (0.7, 0.9))
+    camera = front_camera(40, 32, fx=26.0, fy=25.0, cx=19.0, cy=15.0, model=model)
+    camera = replace(camera, camera_from_world=first, camera_from_world_end=last)
+    origins, directions, _ = camera_rays(camera)
+    for column, row in ((16, 16), (39, 20), (25, 31)):
+        origin, along = ls.rays.pixel_ray(camera, column, row)
+        np.testing.assert_allclose(origin[0], origins[row, column], atol=1e-9)
+        np.testing.assert_allclose(along[0], directions[row, column], atol=1e-9)
+    with pytest.raises(ls.SceneError, match="pixel y is 32, expected a whole number from 0 to 31"):
+        ls.rays.pixel_ray(camera, 0, 32)
 
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))

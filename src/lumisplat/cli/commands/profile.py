@@ -59,9 +59,7 @@ class Profile(LoadingCommand, DeviceCommand):
         with progress_bars() as report:
             scene = self.viewpoint.upright(self.load_scene(self.scene, report))
         camera = self._camera(scene)
-        from lumisplat.scene.ops.views import pixel_ray
-
-        origins, directions = pixel_ray(camera, *self._pixel(camera))
+        origins, directions = ls.rays.pixel_ray(camera, *self._pixel(camera))
         config = scene_settings(scene_file(self.scene))
         hits = ls.trace_rays(scene, origins, directions, config, device=self.device, profile=True)
         assert hits.profile is not None

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.scene.ops.views import pixel_ray
 from lumisplat.viewer.frames.pose import move_page_to
 from lumisplat.viewer.scene_extent import Extent, pose_of, world_corners
 from lumisplat.viewer.server.event_queue import press_callback, value_callback
@@ -122,7 +121,7 @@ class RayPanel:
         yield
         width, height = camera.image_size
         try:
-            ray = pixel_ray(camera, min(int(across * width), width - 1), min(int(down * height), height - 1))
+            ray = ls.rays.pixel_ray(camera, min(int(across * width), width - 1), min(int(down * height), height - 1))
             config = self._session.state.config
             hits = ls.trace_rays(self._session.scene, *ray, config, device=self._device, profile=True)
         except ls.LumisplatError as error:
