@@ -335,6 +335,45 @@ def test_clicking_the_thumbnail_of_a_key_view_moves_the_pages_camera_there(brows
     other.close()
 
 
+def test_dragging_the_clock_in_a_browser_moves_the_sun(browser: Any, viewer: ls.Viewer) -> None:
+    """From noon to the evening the sun turns and dims; undo goes back to noon in one step."""
+    sun = {"latitude": 48.1, "longitude": 11.6, "time": "2026-06-21T12:00+02:00"}
+    viewer._session.apply(lambda document: document.removed(light_id(viewer)).added("sun", sun)[0])
+    page = open_page(browser, viewer)
+    page.locator(".lumi-name", has_text="sun").click()
+    slider = page.locator("label:has-text('time of day')").locator("xpath=ancestor::div[.//input][1]")
+    noon, before = viewer.scene.lights[0], shot(page)
+    thumb, track = (slider.locator(f".mantine-Slider-{part}").bounding_box() for part in ("thumb", "track"))
+    page.mouse.move(thumb["x"] + 0.5 * thumb["width"], thumb["y"] + 0.5 * thumb["height"])
+    page.mouse.down()
+    page.mouse.move(track["x"] + 0.85 * track["width"], track["y"], steps=8)
+    page.mouse.up()
+    until(lambda: viewer.scene.lights[0].intensity < 0.5 * noon.intensity, page)
+    until(lambda: difference(before, shot(page)) > 5.0, page)
+    assert np.dot(viewer.scene.lights[0].direction, noon.direction) < 0.5  # pyright: ignore
+    page.keyboard.press("Control+z")
+    until(lambda: viewer.scene.lights[0] == noon, page)
+    page.close()
+
+
+def test_playback_in_a_browser_moves_lights_in_real_time(browser: Any, viewer: ls.Viewer) -> None:
+    """The key P starts the playback and stops it; between, the animation time runs like the clock on the wall."""
+    keys = [{"time": 0.0}, {"time": 100.0, "position": [40.0, -1.0, -0.8]}]
+    viewer._session.apply(lambda document: document.changed(light_id(viewer), keyframes=keys))
+    page = open_page(browser, viewer)
+    before = shot(page)
+    page.keyboard.press("p")
+    until(lambda: viewer._session.options.time > 0.0, page)
+    started, first = time.monotonic(), viewer._session.options.time
+    until(lambda: viewer._session.options.time > first + 1.0, page)
+    assert viewer._session.options.time - first <= time.monotonic() - started + 0.2
+    page.keyboard.press("p")
+    until(lambda: not viewer._timeline._plays.value, page)
+    settle(viewer)
+    until(lambda: difference(before, shot(page)) > 1.0, page)
+    page.close()
+
+
 def test_page_says_that_its_camera_has_stopped_once_the_pointer_is_released(browser: Any, viewer: ls.Viewer) -> None:
     """A pointer that rests while it holds the camera says nothing; a camera that the wheel or a key moved says it."""
     page = open_page(browser, viewer)

@@ -254,7 +254,8 @@ class Timeline:
     def _show(self) -> None:
         """Updates the range of the time slider after the document's animation has changed; hides it without one."""
         document = self._session.state.document
-        shown = document.top, *((entry.actor, entry.moving) for entry in document.entries if not entry.hidden)
+        entries = [entry for entry in document.entries if not entry.hidden]
+        shown = document.top, *(entry.actor for entry in entries), *(entry.moving for entry in entries)
         if len(shown) == len(self._shown) and all(a is b for a, b in zip(shown, self._shown, strict=True)):
             return
         self._shown, self._animation = shown, document.animation
