@@ -6,6 +6,8 @@ import itertools
 import math
 import threading
 import time
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ from lumisplat.viewer.frames.page import (
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.frames.scene_builder import Levels
 from lumisplat.viewer.overlays import box_outline, draw_outlines, light_outline
+from lumisplat.viewer.panels.status import frame_line
 from lumisplat.viewer.picking import picked
 from lumisplat.viewer.scene_extent import Extent, world_corners
 from lumisplat.viewer.thresholds import (
@@ -162,6 +165,16 @@ def random_capture(count: int) -> ls.Gaussians:
         opacities=np.full(count, 0.5),
         sh=np.zeros((count, 1, 3)),
     )
+
+
+def test_status_line_of_a_coarse_frame_tells_the_gaussians_that_it_shows() -> None:
+    """A capture too small for levels of detail shows all its Gaussians at the coarsest step, and meshes have none."""
+    page, coarsest = cast(Page, SimpleNamespace(noise=None, frames_at_rest=0)), GAUSSIAN_STEPS[-1]
+    lines = [
+        frame_line(page, ls.render(scene, FACING, device="cpu"), coarsest, 12.0)
+        for scene in (ls.Scene([random_capture(400)]), ls.Scene(meshes=[ls.box(1.0)]))
+    ]
+    assert lines == ["160 × 90 · 400 Gaussians · 12 ms", "160 × 90 · 1 sample · 12 ms"]
 
 
 def test_level_of_detail_of_a_capture_is_built_once_and_has_the_instances_transform() -> None:

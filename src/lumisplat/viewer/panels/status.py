@@ -15,7 +15,6 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.frames.page import DetailStep, Page
 from lumisplat.viewer.panels.buttons import plain
-from lumisplat.viewer.thresholds import LEVEL_FRACTIONS
 from lumisplat.viewer.words import page_words
 
 if TYPE_CHECKING:
@@ -133,8 +132,8 @@ def frame_line(page: Page, frame: ls.Frame, step: DetailStep | None, took: float
         took: Frame time, milliseconds.
     """
     parts = [f"{frame.camera.width} × {frame.camera.height}"]
-    if step is not None and step.level:
-        parts.append(f"{LEVEL_FRACTIONS[step.level]:.0%} of Gaussians")
+    if step is not None and step.level and frame.stats is not None and frame.stats.gaussian_count:
+        parts.append(f"{frame.stats.gaussian_count:,} Gaussians")
     elif frame.config is not None and frame.config.pipeline.is_sequence and page.frames_at_rest:
         parts.append(f"{page.frames_at_rest} frame{'s' * (page.frames_at_rest != 1)}")
     elif frame.samples:
