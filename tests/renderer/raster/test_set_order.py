@@ -92,3 +92,22 @@ def test_merged_sets_keep_their_own_thresholds_of_the_surface(backend: str) -> N
     both = [wide_floor(), ls.SplatInstance(ball(), depth_iso_transmittance=0.0)]
     frame = renderer_of(backend, BY_PEAKS).render(ls.Scene(both), CAMERA)
     assert not (frame.instance_index == 1).any() and (frame.instance_index == 0).any()
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID], ids=lambda pipeline: pipeline.value)
+def test_grass_before_a_ball_hides_it_though_the_floor_of_its_set_is_behind(
+    backend: str, pipeline: ls.Pipeline
+) -> None:
+    """Means of the floor's wide Gaussians come before the grass: behind them in its set's order, it must not wait."""
+    points = np.stack([np.linspace(-0.2, 0.2, 5), np.full(5, 0.15), np.full(5, 0.4)], axis=1)
+    blades = discs(points, np.tile([0.0, 0.0, 1.0], (5, 1)), np.tile([0.04, 0.1, 0.003], (5, 1)), (0.1, 0.7, 0.1))
+    meadow = ls.merge([wide_floor().subset(np.arange(300)), blades])
+    sets = [ls.SplatInstance(one) for one in (meadow, ball())]
+    renderer = renderer_of(backend, replace(BY_PEAKS, pipeline=pipeline))
+    both, grass, alone = (renderer.render(ls.Scene(shown), CAMERA) for shown in (sets, [blades], [ball()]))
+    tracer = ls.create_renderer(replace(BY_PEAKS, pipeline=ls.Pipeline.TRACE), "cpu")
+    truth = tracer.render(ls.Scene(sets), CAMERA)
+    hides = (grass.alpha > 0.8) & (alone.alpha > 0.95)
+    assert hides.sum() > 30
+    assert (both.instance_index[hides] == 0).all()
+    assert np.abs(both.color - truth.color)[hides].mean() < 0.01

@@ -20,6 +20,7 @@ from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, JACOBIAN_CLAMP, NORMAL_DEG
 from lumisplat.device.gaussian.particle import SURFACE_DEPTH_SCALES
 from lumisplat.device.splat.projection import COVARIANCE_2D_DET_MIN
 from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.renderer.raster.set_order_kernels import AHEAD_SPLATS
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -27,6 +28,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 BAND = 2e-3
 """Relative distance from thresholds within which float32 may decide differently; BAND_DEPTH is that between depths."""
 BAND_DEPTH = 2e-5
+UNSEEN = -1e9
+"""Key of a splat at pixels where it is not visible."""
 
 
 @dataclass
@@ -346,7 +349,7 @@ class Layer:
 def layers(splats: Splats, fragments: Fragments, camera: Camera, *, merges: bool) -> Iterator[Layer]:
     """Yields splats front to back: by means or, if ``merges``, several captures merged by the depths of their surfaces.
 
-    The depth of a capture's surface at a splat is the largest depth at which its splats so far respond most.
+    The depth of a capture's surface at a splat is the least at which it and the splats behind it respond most.
     """
     count = len(splats.depth_z)
     found = []
@@ -358,7 +361,7 @@ def layers(splats: Splats, fragments: Fragments, camera: Camera, *, merges: bool
         yield from found
         return
     shape = (count, camera.height, camera.width)
-    alphas, keys = np.zeros(shape), np.full(shape, -1e9)
+    alphas, keys = np.zeros(shape), np.full(shape, UNSEEN)
     slopes = depth_slopes(splats, camera)
     for i, layer in enumerate(found):
         y, x = np.mgrid[layer.at]
@@ -367,15 +370,28 @@ def layers(splats: Splats, fragments: Fragments, camera: Camera, *, merges: bool
         reciprocal = (z - offset @ slopes[i]) / (z * z)  # linear in the image for flat Gaussians
         touches = (layer.alpha >= ALPHA_MIN) & (z < fragments.depth_z[layer.at])
         alphas[i][layer.at] = np.where(layer.alpha >= ALPHA_MIN * (1.0 - BAND), layer.alpha, 0.0)
-        keys[i][layer.at] = np.where(touches, -reciprocal, -1e9)
+        keys[i][layer.at] = np.where(touches, -reciprocal, UNSEEN)
     for capture in np.unique(splats.capture):
         of_it = splats.capture == capture
-        keys[of_it] = np.maximum.accumulate(keys[of_it], axis=0)
+        keys[of_it] = np.maximum.accumulate(looking_ahead(keys[of_it]), axis=0)
     order = np.argsort(np.where(alphas > 0.0, keys, np.inf), axis=0, kind="stable")
     everywhere = (slice(0, camera.height), slice(0, camera.width))
     for rank in range(int((alphas > 0.0).sum(axis=0).max())):
         i = order[rank : rank + 1]
         yield Layer(i[0], everywhere, *(np.take_along_axis(values, i, axis=0)[0] for values in (alphas, keys)))
+
+
+def looking_ahead(keys: np.ndarray) -> np.ndarray:
+    """Returns the least key, (N, H, W), of each splat and of the next ones that are visible at the pixel.
+
+    `AHEAD_SPLATS` splats count, the splat among them. Keys of splats that are not visible are ``UNSEEN``, and stay.
+    """
+    found, window = keys.copy(), np.full((AHEAD_SPLATS, *keys.shape[1:]), np.inf)
+    for i in reversed(range(len(keys))):
+        touches = keys[i] > UNSEEN
+        window = np.where(touches, np.concatenate([keys[i : i + 1], window[:-1]]), window)
+        found[i] = np.where(touches, window.min(axis=0), UNSEEN)
+    return found
 
 
 def composite(

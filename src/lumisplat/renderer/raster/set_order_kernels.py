@@ -1,7 +1,7 @@
 """Kernels that blend again the pixels where several captures overlap, so that the nearer surface wins.
 
-Each capture keeps its own order, by means; captures are merged by the depths at which their Gaussians respond most on a
-pixel's ray. The method is in docs/method/rasterisation.md#several-sets.
+Each capture keeps its own order, by means; captures are merged by the depths at which their Gaussians, and those behind
+them in this order, respond most on a pixel's ray. The method is in docs/method/rasterisation.md#several-sets.
 """
 
 from typing import Any
@@ -33,7 +33,14 @@ STREAMS = 4
 """Number of streams of splats that a pixel merges. The fourth one takes the splats of all further captures of a
 tile, in the order of their means."""
 
+AHEAD_SPLATS = 6
+"""Number of splats of each stream that a pixel looks ahead."""
+
 STREAM_COUNT = wp.constant(STREAMS)
+AHEAD = wp.constant(AHEAD_SPLATS)
+
+AheadFloats = wp.types.vector(length=STREAMS * AHEAD_SPLATS, dtype=wp.float32)
+AheadInts = wp.types.vector(length=STREAMS * AHEAD_SPLATS, dtype=wp.int32)
 
 NO_SET: int = wp.constant(-1)
 
@@ -350,38 +357,51 @@ def merge_kernel(module: wp.Module, normal_of: Any) -> Any:
         if touching < 2:
             return
         ray = pixel_ray(view, at[0], at[1])
-        nearness = wp.vec4(-wp.inf)
-        touching = int(0)
-        for s in range(STREAM_COUNT):
-            cursors[s] = next_touching(splats, streams, cursors[s], ends[s], seen)
-            if cursors[s] < ends[s]:
-                nearness[s] = wp.dot(streams[cursors[s]].plane, ray)
-                touching += 1
-        if touching < 2:
-            return
         raster = settings[0]
         direction = view.world_from_camera * ray
-        begin = tile_starts[tile]
-        pixel = blend_listed(
-            empty_pixel(), raster, instances, splats, tile_splats, begin, first, seen, ellipsoids, direction
-        )
-        if pixel.transmittance <= 0.0:
-            return
+        pixel = empty_pixel()
+        entries = AheadInts(0)
+        nearness = AheadFloats(0.0)
+        counts = wp.vec4i(0)
+        is_first = bool(True)
+        touching = int(2)
         while touching > 0 and pixel.transmittance > 0.0:
-            s = int(0)
-            for other in range(1, STREAM_COUNT):
-                if nearness[other] > nearness[s]:
-                    s = other
-            splat = splats[streams[cursors[s]].index]
-            alpha = alpha_from_log(evaluate(splat, seen).log_alpha)
-            splat.normal = normal_of(ellipsoids, splat.index, wp.vec3(0.0), direction, splat.normal)
-            pixel = blend_own(pixel, splat, alpha, raster, instances)
-            cursors[s] = next_touching(splats, streams, cursors[s] + 1, ends[s], seen)
-            nearness[s] = -wp.inf
-            if cursors[s] < ends[s]:
-                nearness[s] = wp.dot(streams[cursors[s]].plane, ray)
-            else:
-                touching -= 1
+            touching = int(0)
+            chosen = int(0)
+            nearest = float(-wp.inf)
+            for s in range(STREAM_COUNT):
+                while counts[s] < AHEAD and cursors[s] < ends[s]:
+                    cursors[s] = next_touching(splats, streams, cursors[s], ends[s], seen)
+                    if cursors[s] < ends[s]:
+                        entries[s * AHEAD + counts[s]] = cursors[s]
+                        nearness[s * AHEAD + counts[s]] = wp.dot(streams[cursors[s]].plane, ray)
+                        counts[s] += 1
+                        cursors[s] += 1
+                if counts[s] > 0:
+                    touching += 1
+                for k in range(counts[s]):
+                    if nearness[s * AHEAD + k] > nearest:
+                        nearest = nearness[s * AHEAD + k]
+                        chosen = s
+            if is_first:
+                is_first = False
+                if touching < 2:
+                    return
+                begin = tile_starts[tile]
+                pixel = blend_listed(
+                    pixel, raster, instances, splats, tile_splats, begin, first, seen, ellipsoids, direction
+                )
+                if pixel.transmittance <= 0.0:
+                    return
+            if touching > 0:
+                splat = splats[streams[entries[chosen * AHEAD]].index]
+                counts[chosen] -= 1
+                for k in range(chosen * AHEAD, chosen * AHEAD + counts[chosen]):
+                    entries[k] = entries[k + 1]
+                    nearness[k] = nearness[k + 1]
+                alpha = alpha_from_log(evaluate(splat, seen).log_alpha)
+                splat.normal = normal_of(ellipsoids, splat.index, wp.vec3(0.0), direction, splat.normal)
+                pixel = blend_own(pixel, splat, alpha, raster, instances)
         behind = tile_starts[tile] + tiles[tile].end
         last = tile_starts[tile + 1]
         pixel = blend_listed(pixel, raster, instances, splats, tile_splats, behind, last, seen, ellipsoids, direction)
