@@ -293,14 +293,79 @@ def test_pickles_that_would_run_code_run_none(tmp_path: Path, monkeypatch: pytes
     made, path = str(tmp_path / "made"), tmp_path / "SMPL.pkl"
     for call in ((os.mkdir, made), (exec, f"open({made!r}, 'w')"), (np.testing.runstring, f"open({made!r}, 'w')", {})):
         arrays = body_arrays("SMPL", directions=2)
-        path.write_bytes(pickle.dumps(arrays | {"harm": _Harmful(*call), "v_template": _Harmful(*call)}, protocol))
+        del arrays["v_template"]
+        path.write_bytes(pickle.dumps(arrays | {"harm": _Harmful(*call)}, protocol))
         with pytest.raises(ls.FormatError, match="lacks v_template: expected a model of SMPL"):
             ls.avatars.load_rig(_converted(path, monkeypatch))
-        for harm in ({"f": [_Harmful(*call)]}, _Harmful(*call)):
+        (tmp_path / "SMPL.npz").unlink()
+        for harm, problem in (
+            (arrays | {"v_template": _Harmful(*call)}, "damaged, or not a pickle: an object is no array that is known"),
+            ({"f": [_Harmful(*call)]}, "holds no arrays of a body model"),
+            (_Harmful(*call), "holds no arrays of a body model"),
+        ):
             path.write_bytes(pickle.dumps(harm, protocol))
-            with pytest.raises(SystemExit, match=r"error: .*SMPL.pkl: holds no arrays, expected a body model"):
+            with pytest.raises(SystemExit, match=rf"error: .*SMPL.pkl: {problem}"):
                 _converted(path, monkeypatch)
     assert not os.path.exists(made)
+
+
+def _number(value: int) -> bytes:
+    return pickle.LONG1 + b"\x08" + struct.pack("<q", value)
+
+
+def _kept(state: bytes) -> bytes:
+    """Returns the code of an object with a state."""
+    return b"cnumpy\nx\n)R" + state + b"b"
+
+
+def _text(value: str) -> bytes:
+    return pickle.BINUNICODE + struct.pack("<I", len(value)) + value.encode()
+
+
+_DTYPE = (
+    b"cnumpy\ndtype\n" + _text("i8") + b"\x85R(K\x03" + _text("<") + b"NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"
+)
+_ONE = _kept(
+    b"(K\x01" + _number(1) + b"\x85" + _DTYPE + b"\x89" + pickle.BINBYTES + struct.pack("<I", 8) + bytes(8) + b"t"
+)
+_COLUMN = b"".join(_text(key) + _ONE for key in ("indptr", "indices", "data"))
+_MATRIX = b"}(" + _COLUMN + _text("_shape") + _number(2**15) + _number(2**14) + b"\x86u"
+
+
+@pytest.mark.parametrize(
+    ("code", "problem"),
+    [
+        (b"\x96" + struct.pack("<Q", 2**40) + b".", "ends too early for a pickle"),
+        (b"}" + _text("f") + _kept(_MATRIX) + b"s.", "its arrays take far more memory than the file"),
+        (b"}" + _text("f") + b"cnumpy\nx\n)R\x94}" + _text("x") + b"h\x00sbs.", "nested too deeply"),
+        (b"})" + b"\x85" * 10**6 + b"Ns.", "damaged, or not a pickle"),
+        (b"cnumpy\nx\n(" + b"N" * 17 + b"tR.", "an object has 17 arguments"),
+    ],
+    ids=["bytes of 1 TB", "matrix of 4 GB", "object in itself", "deep key", "many arguments"],
+)
+def test_small_pickles_that_take_much_memory_give_one_line(tmp_path: Path, code: bytes, problem: str) -> None:
+    """Lengths and shapes in the file, and objects within objects, neither fill the memory nor end the process."""
+    path = tmp_path / "SMPL.pkl"
+    path.write_bytes(b"\x80\x05" + code)
+    with pytest.raises(ls.FormatError) as caught:
+        read_pickled_arrays(path)
+    assert problem in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_conversion_keeps_the_arrays_of_a_model_and_replaces_no_file(tmp_path: Path, monkeypatch: Any) -> None:
+    """Names that mean something to NumPy do not stop it; each array is made once, whatever names it has."""
+    arrays, path = body_arrays("SMPL", directions=2), tmp_path / "SMPL.pkl"
+    more = dict.fromkeys(("file", "allow_pickle"), arrays["f"])
+    path.write_bytes(pickle.dumps(arrays | more | {"hands_meanl": arrays["f"], "hands_meanr": arrays["f"]}, 2))
+    found = read_pickled_arrays(path)
+    used = ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f"]
+    assert sorted(found) == sorted([*used, "hands_meanl", "hands_meanr"])
+    assert found["f"] is found["hands_meanl"]
+    written = _converted(path, monkeypatch)
+    before = written.read_bytes()
+    with pytest.raises(SystemExit, match=r"^error: .*SMPL\.npz: already exists: use it, or move it away"):
+        _converted(path, monkeypatch)
+    assert written.read_bytes() == before
 
 
 def test_errors_about_files_of_python_programs_have_the_call_that_saves_their_content(tmp_path: Path) -> None:

@@ -42,6 +42,8 @@ FAMILY = {"SMPL": SMPL, "SMPL-H": SMPLH, "SMPL-X": SMPLX, "FLAME": FLAME}
 
 _REQUIRED = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
 _HAND_MEANS = ("hands_meanl", "hands_meanr")
+ARRAYS = (*_REQUIRED, *_HAND_MEANS)
+"""Names of the arrays that a model is made of."""
 _SHAPES_SPLIT = 400, 300, 10
 """Models with at least 400 shapes and expressions have 300 shapes, others 10; the rest are expressions."""
 _KIND = "a body model (SMPL)"
@@ -130,7 +132,7 @@ def read_body_model(path: Path) -> BodyModel:
         MissingFileError: There is no such file.
     """
     with parsing(path, _KIND):
-        arrays = read_arrays(path, _KIND, compressed=True, names=(*_REQUIRED, *_HAND_MEANS, "poses"))
+        arrays = read_arrays(path, _KIND, compressed=True, names=(*ARRAYS, "poses"))
         missing = [name for name in _REQUIRED if name not in arrays]
         if missing and "poses" in arrays:
             raise FormatError(path, f'holds poses, not a body: load_rig("SMPLX_NEUTRAL.npz", motion="{path.name}")')
