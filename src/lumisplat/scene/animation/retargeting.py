@@ -94,8 +94,9 @@ def human_joints(skeleton: Skeleton, named: Mapping[str, str] | None = None) -> 
         else:
             found.setdefault("{}_{}{}".format(*finger.groups()) if finger else known.get(name, name), node)
     # The lowest joints of the spine, and the one that carries the arms.
-    found |= dict(zip(("spine1", "spine2", "spine3"), [*spine[:2], *spine[2:][-1:]], strict=False))
-    return found
+    free = [joint for joint in ("spine1", "spine2", "spine3") if joint not in found]
+    lower = max(len(free) - 1, 0)
+    return found | dict(zip(free, [*spine[:lower], *spine[lower:][-1:]], strict=False))
 
 
 def _plain(name: str) -> str:
