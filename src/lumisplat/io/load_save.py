@@ -515,7 +515,8 @@ def load_motion(
         path: AMASS poses (``.npz``) for body models of SMPL, or ``.bvh``, ``.glb``, ``.gltf`` or ``.vrma`` for humans.
         rig: A rig of `load_rig`, or one that a program made.
         joints: Names in SMPL of joints whose names in the motion or the rig are not known, by those names:
-            ``{"Shin.L": "left_knee"}``.
+            ``{"Shin.L": "left_knee"}``. A name that both have applies to the motion alone if the rig has another such
+            joint.
         allow_outside: As in `load`.
 
     Raises:

@@ -82,8 +82,9 @@ ACTOR_KEYS = {
         "Motion of a rig from another file: `.npz` of AMASS (body models), `.bvh`, `.glb`, `.gltf` or `.vrma`."
     ),
     "joints": TABLE.about(
-        'Names in SMPL of joints of `motion` or the rig, by their own: `{ "Shin.L" = "left_knee" }`. Default: those '
-        "that other programs use are known."
+        'Names in SMPL of joints of `motion` or the rig, by their own: `{ "Shin.L" = "left_knee" }`. A name that '
+        "both have applies to `motion` alone if the rig has another such joint. Default: those that other programs use "
+        "are known."
     ),
     "gaussians": TEXT.about(
         "A capture that is bound to the rig, in its rest pose: a trained avatar. Default: new Gaussians on its meshes."

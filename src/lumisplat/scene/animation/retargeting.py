@@ -32,8 +32,6 @@ _SIDES = ("left", "right")
 _LIMBS = ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
 """Joints of a side, by their names in SMPL."""
 _STYLES = (
-    # of SMPL, and of Biovision's first files
-    ("{side}{limb}", _LIMBS),
     # of Mixamo, MotionBuilder, Rokoko, CMU and LAFAN1
     ("{side}{limb}", ("shoulder", "arm", "forearm", "hand", "upleg", "leg", "foot", "toebase|toe")),
     # of Biovision's later files
@@ -47,8 +45,12 @@ _STYLES = (
         "{limb}{initial}",
         ("clavicle|shoulder", "upperarm", "lowerarm|forearm", "hand", "thigh", "calf|shin", "foot", "ball|toe"),
     ),
+    # of SMPL, and of Biovision's first files; last, for a foot is an ankle elsewhere
+    ("{side}{limb}", _LIMBS),
 )
-"""Joint names in other programs, in lower case without punctuation; a bar separates alternatives."""
+"""Joint names in other programs, in lower case without punctuation; a bar separates alternatives.
+
+If two styles know equally many names of a skeleton, it has the first one."""
 _CENTRE = {"pelvis": "hips|hip|pelvis", "neck": "neck|neck01", "head": "head"}
 _SPINE = re.compile(r"lowerback|abdomen|torso|chest\d*|upperchest|spine\d*")
 _PREFIX = re.compile(r".*:|^mixamorig\d*")
@@ -97,6 +99,13 @@ def human_joints(skeleton: Skeleton, named: Mapping[str, str] | None = None) -> 
     free = [joint for joint in ("spine1", "spine2", "spine3") if joint not in found]
     lower = max(len(free) - 1, 0)
     return found | dict(zip(free, [*spine[:lower], *spine[lower:][-1:]], strict=False))
+
+
+def _named_in_rig(target: Skeleton, source: Skeleton, named: Mapping[str, str]) -> dict[str, str]:
+    """Returns the given names without those that the motion has, too, if the rig has another such joint."""
+    shared = dict.fromkeys(named.keys() & set(source.names), "")
+    others = human_joints(target, {**named, **shared})
+    return {name: joint for name, joint in named.items() if name not in shared or joint not in others}
 
 
 def _plain(name: str) -> str:
@@ -175,7 +184,8 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | 
         source: Skeleton of the clip, y up.
         clip: Rotations of its joints, and translations of its hips.
         rig: Rig to move, y up.
-        named: Names in SMPL of nodes of both, as for `human_joints`.
+        named: Names in SMPL of nodes of both, as for `human_joints`. A name that both have applies to the
+            source alone if the rig has another such joint.
 
     Raises:
         SceneError: One of the skeletons has no hips or legs of known names; the message lists what it lacks.
@@ -184,7 +194,8 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | 
     skinned = {int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes}
     movable = (skinned or set(target.order)).difference(target.matrices)
     theirs = human_joints(source, named)
-    ours = {k: node for k, node in human_joints(target, named).items() if node in movable}
+    known = human_joints(target, _named_in_rig(target, source, named or {}))
+    ours = {k: node for k, node in known.items() if node in movable}
     _check_legs("the motion", source, theirs)
     _check_legs("the rig", target, ours)
     if not _stands(target.world_from_node(), ours):
