@@ -100,6 +100,16 @@ def test_errors_of_bodies_and_motions_name_the_line(folder: Path, text: str, pro
     refuses(caught, folder, problem)
 
 
+def test_the_error_about_unknown_joints_has_toml_that_names_them(folder: Path) -> None:
+    """The table of the error is that of the entry, with the name of a joint."""
+    (folder / "hop.bvh").write_text((folder / "hop.bvh").read_text().replace("LeftKnee", "Lshnk"))
+    entry = "[[actors]]\npath = 'smpl.npz'\nmotion = 'hop.bvh'\n"
+    with pytest.raises(ls.FormatError, match=r"Say which is the left_knee: (joints = \{.*\}), or rename") as caught:
+        ls.load_animation(write_scene(folder, entry))
+    shown = str(caught.value).partition("left_knee: ")[2].partition(", or rename")[0]
+    assert ls.load_animation(write_scene(folder, entry + shown.replace("NAME", "Lshnk") + "\n")).actors
+
+
 def test_actors_of_vrm_files_equal_those_of_glb_files(folder: Path) -> None:
     """A .vrm is a GLB file with another extension, as a rig and as a scene."""
     (folder / "tube.vrm").write_bytes((folder / "tube.glb").read_bytes())

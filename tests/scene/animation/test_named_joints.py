@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,42 @@ import pytest
 import lumisplat as ls
 from lumisplat.scene.animation.retargeting import human_joints
 from lumisplat.scene.animation.rig import Rig
-from support.files.body_files import person_bvh
+from support.files.body_files import body_file, person_bvh, pose_file
+
+STILL = f"0 40 0{' 0' * 27}\n0 40 33{' 0' * 27}\n"
+
+
+def test_motions_with_unknown_joints_fit_after_the_advice_of_their_error(tmp_path: Path) -> None:
+    """The error has names of the file; joints are named by the argument that it shows, or renamed as it shows."""
+    known = person_bvh(STILL)
+    path, rig = tmp_path / "hop.bvh", ls.avatars.load_rig(body_file(tmp_path / "smpl.npz", "SMPL"))
+    path.write_text(known)
+    expected = ls.avatars.load_motion(path, rig).pose(0.4).positions
+    path.write_text(known.replace("Knee", "-Shin.x"))
+    with pytest.raises(
+        ls.FormatError, match=r"known as left_knee, right_knee; its other joints are Tail, Left-Shin\.x, R"
+    ) as one:
+        ls.avatars.load_motion(path, rig)
+    shown = re.search(r"Say which is the left_knee: joints=(\{.*\}), or rename it to (.*)$", str(one.value))
+    assert shown
+    for name in shown[2].split(" or "):
+        path.write_text(known.replace("RightKnee", "R").replace("LeftKnee", name))
+        named = ls.avatars.load_motion(path, rig, joints={"R": "right_knee"})
+        np.testing.assert_allclose(named.pose(0.4).positions, expected, atol=1e-6)
+    joints = eval(shown[1].replace("NAME", "Left-Shin.x")) | {"Right-Shin.x": "right_knee"}
+    path.write_text(known.replace("Knee", "-Shin.x"))
+    named = ls.avatars.load_rig(tmp_path / "smpl.npz", motion=path, joints=joints)
+    np.testing.assert_allclose(named.pose(0.4).positions, expected, atol=1e-6)
+    for wrong, problem in (
+        ({"Left-Shin": "left_knee"}, "joints has unknown 'Left-Shin', did you mean 'Left-Shin.x'?"),
+        ({"Left-Shin.x": "left_kne"}, "joints has unknown 'left_kne', did you mean 'left_knee'?"),
+    ):
+        with pytest.raises(ls.SceneError, match=re.escape(problem)):
+            ls.avatars.load_motion(path, rig, joints=wrong)
+    with pytest.raises(ls.SceneError, match="joints are those of a motion, but there is no motion"):
+        ls.avatars.load_rig(tmp_path / "smpl.npz", joints=joints)
+    with pytest.raises(ls.SceneError, match=r"joints applies to other motions than walk\.npz"):
+        ls.avatars.load_motion(pose_file(tmp_path / "walk.npz", "SMPL"), rig, joints=joints)
 
 
 def person(thigh: str = "UpLeg", shin: str = "Leg", **more: tuple[str | None, tuple[float, float, float]]) -> Rig:
@@ -37,6 +73,17 @@ def test_names_that_mean_other_joints_in_the_rig_are_those_of_the_motion(tmp_pat
     for one, other in zip(found.tracks, expected.tracks, strict=True):
         assert one.node == other.node
         np.testing.assert_allclose(one.values, other.values, atol=1e-9)
+
+
+def test_joints_of_a_rig_that_are_matrices_are_not_called_unknown(tmp_path: Path) -> None:
+    """Names do not help."""
+    path, rig = tmp_path / "hop.bvh", person()
+    path.write_text(person_bvh(STILL))
+    fixed = replace(rig, skeleton=replace(rig.skeleton, matrices={2: np.eye(4), 3: np.eye(4)}))
+    problem = "the rig has joints that are given as matrices, which clips do not move: LeftLeg, LeftFoot"
+    for joints in ({}, {"LeftLeg": "left_knee"}):
+        with pytest.raises(ls.FormatError, match=f"does not fit the rig: {problem}$"):
+            ls.avatars.load_motion(path, fixed, joints=joints)
 
 
 @pytest.mark.parametrize(

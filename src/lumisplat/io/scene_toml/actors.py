@@ -17,6 +17,7 @@ position = [1.0, 0.0, 0.0]
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -311,7 +312,8 @@ class Subjects:
         except FormatError as error:
             if motion is None or error.path != str(motion):
                 raise
-            raise table.error(f"motion {given['motion']!r} {error.problem}", "motion") from None
+            problem = re.sub(r'joints=\{("NAME"): ("\w+")\}', r"joints = { \1 = \2 }", error.problem)
+            raise table.error(f"motion {given['motion']!r} {problem}", "motion") from None
         if "gaussians" in given:
             return self._bound(table, given, rig)
         return rig if as_mesh else bind_gaussians(rig, given.get("count"))

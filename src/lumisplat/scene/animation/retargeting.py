@@ -188,7 +188,8 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | 
             source alone if the rig has another such joint.
 
     Raises:
-        SceneError: One of the skeletons has no hips or legs of known names; the message lists what it lacks.
+        SceneError: One of the skeletons has no hips or legs of known names, or the rig has them as matrices; the
+            message lists them.
     """
     target = rig.skeleton
     skinned = {int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes}
@@ -196,8 +197,8 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | 
     theirs = human_joints(source, named)
     known = human_joints(target, _named_in_rig(target, source, named or {}))
     ours = {k: node for k, node in known.items() if node in movable}
-    _check_legs("the motion", source, theirs)
-    _check_legs("the rig", target, ours)
+    _check_legs("the motion", source, theirs, theirs)
+    _check_legs("the rig", target, known, ours)
     if not _stands(target.world_from_node(), ours):
         raise SceneError("the rig does not stand at rest with y up: motion of other figures does not fit it")
     times = np.unique(np.concatenate([track.times for track in clip.tracks] or [np.zeros(1)]))
@@ -217,19 +218,29 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | 
     )
 
 
-def _check_legs(owner: str, skeleton: Skeleton, joints: dict[str, int]) -> None:
-    """Raises a SceneError if a skeleton has no hips or legs; the message has its names, and those that fit to them."""
-    lacking = [joint for joint in ("pelvis", *_LEGS) if joint not in joints]
+def _check_legs(owner: str, skeleton: Skeleton, joints: dict[str, int], movable: dict[str, int]) -> None:
+    """Raises a SceneError if a skeleton has no hips or legs; the message has its names, and those that fit to them.
+
+    Args:
+        owner: Words for the skeleton's owner.
+        skeleton: The skeleton.
+        joints: Nodes by joint.
+        movable: Those of them that may be moved.
+    """
+    lacking = [joint for joint in ("pelvis", *_LEGS) if joint not in movable]
     if not lacking:
         return
+    fixed = [skeleton.names[joints[joint]] for joint in lacking if joints.get(joint) in skeleton.matrices]
+    if fixed:
+        raise SceneError(f"{owner} has joints that are given as matrices, which clips do not move: {', '.join(fixed)}")
     style = max(_STYLES, key=lambda one: len(_known(one, map(_plain, skeleton.names))))
     known = [name for name, joint in _table(style).items() if joint == lacking[0]]
-    others = [skeleton.names[node] for name, node in joints.items() if name == _plain(skeleton.names[node])]
+    others = [skeleton.names[node] for name, node in movable.items() if name == _plain(skeleton.names[node])]
     more = f" and {len(others) - _LISTED} more" if len(others) > _LISTED else ""
-    listed = f", but {', '.join(others[:_LISTED])}{more}" if others else ""
+    listed = f"; its other joints are {', '.join(others[:_LISTED])}{more}" if others else ""
     raise SceneError(
-        f"{owner} has no joint known as {', '.join(lacking)}{listed}: name its joints by "
-        f'joints={{"NAME": "{lacking[0]}"}}, or rename them, this one to {" or ".join(known)}'
+        f"{owner} has no joint known as {', '.join(lacking)}{listed}. Say which is the {lacking[0]}: "
+        f'joints={{"NAME": "{lacking[0]}"}}, or rename it to {" or ".join(known)}'
     )
 
 
