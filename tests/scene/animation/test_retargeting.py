@@ -172,6 +172,11 @@ def test_motion_of_a_skeleton_that_does_not_stand_at_rest_is_relative_to_its_fir
          "pelvis spine1 spine2 spine3 left_collar left_shoulder left_elbow right_hip right_knee right_ankle"),
         ("hips spine chest upperChest leftShoulder leftUpperArm leftLowerArm leftUpperLeg leftFoot leftToes",
          "pelvis spine1 spine2 spine3 left_collar left_shoulder left_elbow left_hip left_ankle left_foot"),
+        ("hips leftRingProximal leftRingIntermediate leftRingDistal rightLittleDistal "
+         "leftThumbMetacarpal leftThumbProximal leftThumbDistal",
+         "pelvis left_ring1 left_ring2 left_ring3 right_pinky3 left_thumb1 left_thumb2 left_thumb3"),
+        ("hips rightThumbProximal rightThumbIntermediate rightThumbDistal rightHandThumb4",
+         "pelvis right_thumb1 right_thumb2 right_thumb3 righthandthumb4"),
     ],
 )  # fmt: skip
 def test_joints_are_known_by_the_names_of_other_programs(names: str, expected: str) -> None:

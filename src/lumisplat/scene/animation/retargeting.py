@@ -54,7 +54,12 @@ If two styles know equally many names of a skeleton, it has the first one."""
 _CENTRE = {"pelvis": "hips|hip|pelvis", "neck": "neck|neck01", "head": "head"}
 _SPINE = re.compile(r"lowerback|abdomen|torso|chest\d*|upperchest|spine\d*")
 _PREFIX = re.compile(r".*:|^mixamorig\d*")
-_FINGER = re.compile(r"(left|right)(?:hand)?(index|middle|pinky|ring|thumb)([123])")
+_FINGER = re.compile(
+    r"(left|right)(?:hand)?(index|middle|pinky|little|ring|thumb)([123]|metacarpal|proximal|intermediate|distal)"
+)
+_PHALANGES = {"proximal": "1", "intermediate": "2", "distal": "3"}
+_THUMB_VRM_1 = {"metacarpal": "1", "proximal": "2", "distal": "3"}
+"""Bones of VRM's fingers; those of thumbs have other names in VRM 1 than in VRM 0, and it alone has metacarpals."""
 _BONES = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
 _LEGS = tuple(f"{side}_{limb}" for side in _SIDES for limb in ("hip", "knee", "ankle"))
 _STANDING_MIN = 0.5
@@ -90,11 +95,14 @@ def human_joints(skeleton: Skeleton, named: Mapping[str, str] | None = None) -> 
     known = max((_known(style, plain.values()) for style in _STYLES), key=len)
     spine: list[int] = []
     for node, name in plain.items():
-        finger = _FINGER.fullmatch(name)
         if _SPINE.fullmatch(name):
             spine.append(node)
+        elif finger := _FINGER.fullmatch(name):
+            side, digit, bone = finger.groups()
+            bones = _THUMB_VRM_1 if digit == "thumb" and f"{side}thumbmetacarpal" in plain.values() else _PHALANGES
+            found.setdefault(f"{side}_{digit.replace('little', 'pinky')}{bones.get(bone, bone)}", node)
         else:
-            found.setdefault("{}_{}{}".format(*finger.groups()) if finger else known.get(name, name), node)
+            found.setdefault(known.get(name, name), node)
     # The lowest joints of the spine, and the one that carries the arms.
     free = [joint for joint in ("spine1", "spine2", "spine3") if joint not in found]
     lower = max(len(free) - 1, 0)
