@@ -657,7 +657,7 @@ def _refuse_rig(path: Path, extension: str) -> None:
     from lumisplat.io.rigs.loading import refuse_foreign
 
     refuse_foreign(path)
-    if what := {".npz": "a body model or poses", ".bvh": "a motion"}.get(extension):
+    if what := {".npz": "a body model or poses", ".bvh": "a motion", ".vrma": "a motion"}.get(extension):
         use = "use it in [[actors]] of a scene file, or by ls.avatars.load_rig(path, motion=)"
         raise FormatError(path, f"may be {what}: {use}")
 

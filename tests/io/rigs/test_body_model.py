@@ -159,9 +159,12 @@ def test_wrong_uses_of_body_files_say_what_to_do(tmp_path: Path) -> None:
         ls.avatars.load_rig(motion)
     with pytest.raises(ls.FormatError, match=r"betas has shape \(21,\), expected at most 20 numbers"):
         ls.avatars.load_rig(body, betas=np.zeros(21))
+    (tmp_path / "walk.vrma").write_bytes(b"glTF")
     for load in (ls.load, ls.load_animation):
         with pytest.raises(ls.FormatError, match=r"may be a body model or poses: use it in \[\[actors\]\]"):
             load(body)
+        with pytest.raises(ls.FormatError, match=r"may be a motion: use it in \[\[actors\]\]"):
+            load(tmp_path / "walk.vrma")
     with pytest.raises(ls.FormatError, match="has no betas or expression: they shape a body model"):
         ls.avatars.load_rig(tmp_path / "walker.glb", betas=[1.0])
     with pytest.raises(ls.FormatError, match=r"unknown extension '.mp4' of a motion, expected .npz of AMASS, .bvh"):
