@@ -7,10 +7,12 @@ from lumisplat.relighting.evaluation import MaterialEvaluation, MaterialView, Re
 from lumisplat.relighting.fitting.fit_lights import fit_lights
 from lumisplat.relighting.fitting.results import FittedView, LightFit
 from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
+from lumisplat.relighting.protocols import Benchmark, PublishedFigures, evaluate_published
 from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
 from lumisplat.training.find_materials import FoundMaterials, find_materials
 
 __all__ = [
+    "Benchmark",
     "DelightConfig",
     "FittedView",
     "FoundMaterials",
@@ -19,6 +21,7 @@ __all__ = [
     "MaterialEstimate",
     "MaterialEvaluation",
     "MaterialView",
+    "PublishedFigures",
     "RelitFigures",
     "SunEstimate",
     "delight",
@@ -26,6 +29,7 @@ __all__ = [
     "estimate_materials",
     "estimate_sun",
     "evaluate_materials",
+    "evaluate_published",
     "find_materials",
     "fit_lights",
     "surface_remark",

@@ -16,6 +16,7 @@ from lumisplat.config import Pipeline, RenderConfig, Shadows
 from lumisplat.config.checks import check_kind
 from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError, MissingExtraError, MissingFileError, SceneError
+from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import unpremultiplied
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.images.exr import read_exr
@@ -233,7 +234,8 @@ def evaluate_materials(
     given = with_albedo(gaussians)
     compared = list(_compared_views(truth, given, device, report))
     scale = albedo_scale(compared)
-    renderer = create_renderer(_relighting(config, samples, gaussians, has_lights=truth.has_lights), device)
+    default = RenderConfig(pipeline=Pipeline.PATH if truth.has_lights else Pipeline.HYBRID)
+    renderer = create_renderer(relighting_config(config or default, samples, gaussians), device)
     relit = _relit(truth, given, scale, renderer, report)
     compared = [replace(view, relit=pictures) for view, pictures in zip(compared, relit, strict=True)]
     views, problems = zip(*(measured(view, scale) for view in compared), strict=True)
@@ -261,14 +263,8 @@ def evaluate_materials(
     )
 
 
-def _relighting(
-    config: RenderConfig | None, samples: int | None, gaussians: Gaussians, *, has_lights: bool
-) -> RenderConfig:
-    """Returns the render settings of relit images: ``config``, or a default, adapted to the comparison.
-
-    Without a ``config``, local lights (``has_lights``) are path-traced; environments use ``Pipeline.HYBRID``.
-    """
-    settings = config or RenderConfig(pipeline=Pipeline.PATH if has_lights else Pipeline.HYBRID)
+def relighting_config(settings: RenderConfig, samples: int | None, gaussians: Gaussians) -> RenderConfig:
+    """Returns the settings of relit images: ``settings`` with samples, and without a background."""
     if samples is None and settings.time_limit is None and settings.noise is None:
         samples = settings.samples or RELIT_SAMPLES
     # Rasterisation, and rays with an antialiasing footprint, render Gaussians as trained only at pixel centres.
@@ -562,6 +558,7 @@ class LayerRenderer:
     unlit: Renderer
     lit_scene: Scene
     roughness_scene: Scene | None
+    captured_scene: Scene
 
     @classmethod
     def of(cls, gaussians: Gaussians, device: str) -> LayerRenderer:
@@ -579,7 +576,12 @@ class LayerRenderer:
             create_renderer(RenderConfig(background=None, lighting=False), device),
             Scene(splats=(SplatInstance(gaussians, material=MaterialPbr()),)),
             with_base_colors,
+            Scene(splats=(gaussians,)),
         )
+
+    def look(self, camera: Camera) -> Frame:
+        """Renders the captured look, without a background."""
+        return self.unlit.render(self.captured_scene, camera)
 
     def draw(self, camera: Camera) -> dict[str, FloatArray]:
         """Renders linear albedo (H, W, 3), unit normals (H, W, 3; 0 in the background) and roughness (H, W, 1).

@@ -93,6 +93,46 @@ def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[ListedI
         return found
 
 
+_VIEW_IMAGES = ("rgba.png", "rgba_sunset_000.png", "rgba_sunset.png")
+"""Names of the image in the light of training, in folders of single views: NeRFactor's, then TensoIR's."""
+
+
+def view_folder_images(folder: Path, split: str) -> list[ListedImage]:
+    """Lists the images of folders of single views, such as ``train_000``, each with a ``metadata.json``.
+
+    NeRFactor (Zhang et al. 2021) and TensoIR (Jin et al. 2023) publish such folders. Cameras are named after them.
+
+    Args:
+        folder: Folder that holds them.
+        split: ``train`` or ``test``.
+
+    Raises:
+        FormatError: There is no such folder, or its metadata.json is damaged or its image missing.
+    """
+    files = sorted(folder.glob(f"{split}_*/metadata.json"))
+    if not files:
+        raise FormatError(folder, f"has no {split}_000/metadata.json: expected a folder for each view")
+    found: list[ListedImage] = []
+    for index, file in enumerate(files):
+        image = next((path for name in _VIEW_IMAGES if (path := file.with_name(name)).is_file()), None)
+        if image is None:
+            raise FormatError(file.parent, f"has no image of the training light: expected {', '.join(_VIEW_IMAGES)}")
+        with parsing(file, "the metadata.json of a view"):
+            content = parse_json(file)
+            values = content if is_object(content) else {}
+            rows = [float(value) for value in str(values["cam_transform_mat"]).split(",")]
+            entry = {
+                "file_path": file.parent.name,
+                "transform_matrix": [rows[4 * k : 4 * k + 4] for k in range(4)],
+                "camera_angle_x": values["cam_angle_x"],
+                "w": values["imw"],
+                "h": values["imh"],
+            }
+        camera = decode_frame(file, index, entry, partial(transforms_camera, file, {}, None))
+        found.append(ListedImage(camera, image, None, file.parent.name))
+    return found
+
+
 def _shortest_name(name: str) -> str:
     r"""Normalises a ``file_path`` (``./a\b`` to ``a/b``), so that names of the same frame compare equal."""
     return str(PurePosixPath(name.replace("\\", "/")))

@@ -33,6 +33,7 @@ from lumisplat.io.training_images.listing import (
     report_without_pose,
     some_names,
     transforms_images,
+    view_folder_images,
 )
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.distortion import distort, distortion_reach
@@ -257,6 +258,8 @@ def load_training_images(
 
     The folder may hold one of these, tried in this order:
 
+    - ``train_000/metadata.json``, ``train_001/metadata.json``, ... (NeRFactor, TensoIR). The images of ``test_000``,
+      ... are held out.
     - ``transforms_train.json`` (Blender, NeRF-synthetic). The images of ``transforms_test.json``, or else of
       ``transforms_val.json``, are held out.
     - ``transforms.json`` (nerfstudio, instant-ngp). Its ``train_filenames`` and ``test_filenames`` (or
@@ -337,6 +340,9 @@ def _find(folder: Path, with_held_out: bool) -> _FolderContents:
         raise MissingFileError(folder, "no such folder")
     if not folder.is_dir():
         raise FormatError(folder, f"is a file, expected the folder that holds {_EXPECTED}")
+    if (folder / "train_000" / "metadata.json").is_file():
+        held_out = view_folder_images(folder, "test") if with_held_out and (folder / "test_000").is_dir() else None
+        return _FolderContents(folder, view_folder_images(folder, "train"), held_out)
     train = folder / "transforms_train.json"
     if train.is_file():
         return _FolderContents(train, transforms_images(train), _held_out(folder) if with_held_out else None)
