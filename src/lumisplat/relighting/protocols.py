@@ -73,6 +73,20 @@ class PublishedFigures:
     """What the set or the installed packages lack, one sentence each."""
 
 
+def check_published(folder: PathLike, benchmark: Benchmark, lights: PathLike | None = None) -> None:
+    """Raises an error if files of one object of a published benchmark are missing; reads no images.
+
+    Args:
+        folder: Folder of the object.
+        benchmark: The benchmark to which it belongs.
+        lights: As for `evaluate_published`.
+
+    Raises:
+        FormatError: A file is missing or damaged; the message names it.
+    """
+    _RULES[benchmark].open(Path(folder), None if lights is None else Path(lights))
+
+
 def evaluate_published(
     gaussians: Gaussians,
     folder: PathLike,

@@ -7,14 +7,16 @@ NeRF-Synthetic (Mildenhall et al. 2020). docs/guide/published_sets.md lists the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.errors import FormatError, MissingFileError
+from lumisplat.frame.frame_data import unpremultiplied
 from lumisplat.io.cameras.json_cameras import (
     decode_frame,
     frame_image,
@@ -22,12 +24,15 @@ from lumisplat.io.cameras.json_cameras import (
     is_object,
     parse_json,
     transforms_camera,
+    write_transforms,
 )
 from lumisplat.io.files.source import parsing, referenced_file
 from lumisplat.io.images.radiance import read_radiance
-from lumisplat.io.images.texture import image_size
+from lumisplat.io.images.texture import image_size, read_texture, write_png
 from lumisplat.io.training_images.listing import view_folder_images
-from lumisplat.math.arrays import Doubles
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.math.resampling import area_mean
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import LightEnvironment
@@ -195,6 +200,38 @@ def open_orb(folder: Path, lights: Path | None) -> PublishedSet:
         turn = camera.world_from_camera[:3, :3] * (1.0, -1.0, -1.0)
         relit.append(RelitView(scene, camera, image, light, turn, _orb_mask(image)))
     return PublishedSet(folder, tuple(views), tuple(relit))
+
+
+def write_orb_images(folder: Path, output: Path) -> Path:
+    """Writes the training images of Stanford-ORB as sRGB with alpha, 512 pixels high, from HDR images and masks.
+
+    Args:
+        folder: Folder ``blender_HDR/OBJECT_scene00x``.
+        output: Folder to write into; created if missing.
+
+    Returns:
+        The folder, with ``transforms_train.json`` and ``train``.
+
+    Raises:
+        FormatError: A file is missing or damaged.
+    """
+    (output / "train").mkdir(parents=True, exist_ok=True)
+    cameras: list[Camera] = []
+    for camera, image, _ in transforms_views(folder / "transforms_train.json"):
+        color = read_radiance(image) if image.suffix == ".exr" else decode_srgb(_unit(read_texture(image))[..., :3])
+        alpha = _unit(read_texture(_orb_mask(image)))[..., :1]
+        pixels = np.concatenate([color * alpha, alpha], axis=2).astype(np.float32)
+        size = min(len(pixels), ORB_SIZE)
+        pixels = area_mean(pixels, size, size)
+        shown = np.clip(encode_srgb(unpremultiplied(pixels[..., :3], pixels[..., 3])), 0.0, 1.0)
+        write_png(output / "train" / f"{image.stem}.png", np.concatenate([shown, pixels[..., 3:]], axis=2))
+        cameras.append(replace(camera.scaled(size, size), name=f"train/{image.stem}"))
+    write_transforms(output / "transforms_train.json", cameras)
+    return output
+
+
+def _unit(texels: npt.NDArray[np.uint8]) -> FloatArray:
+    return texels.astype(np.float32) / np.float32(255.0)
 
 
 def _orb_scene(file: Path, frame: Mapping[str, Any]) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,6 +45,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
     Only pixels where an image's mask is at least half white are compared.
     With --materials, the folder is a data set with ground-truth materials (docs/guide/materials.md).
+    With --protocol, it is an object of a published benchmark (docs/guide/published_sets.md).
     Guide: docs/guide/evaluate.md, metrics.md.
     First try: lumisplat evaluate fox.ply fox -o report
     """
@@ -68,16 +70,33 @@ class Evaluate(LoadingCommand, DeviceCommand):
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """With --materials: read the estimated environment from this .exr or .hdr, else NAME.environment.exr."""
     samples: Annotated[int | None, setting("N", "64")] = None
-    """With --materials: average N samples per pixel in relit images."""
+    """With --materials or --protocol: average N samples per pixel in relit images."""
+
+    protocol: Annotated[
+        Literal["tensoir", "synthetic4relight", "orb", "nerf-synthetic"] | None,
+        arg(metavar="NAME", help_behavior_hint=""),
+    ] = None
+    """Score by the rules of a benchmark; without a capture, train one into OUT first."""
+    lights: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="")] = None
+    """With --protocol: read the environments of relit images from this folder."""
 
     def run(self) -> None:
-        """Renders and compares the views, prints a table, and writes a report if asked."""
+        """Renders and compares, prints a table, and writes a report if asked."""
+        if self.protocol is not None:
+            self._compare_published(ls.inverse.Benchmark(self.protocol))
+            return
+        if self.lights is not None:
+            raise ls.ConfigError("--lights needs --protocol")
         if len(self.files) < 2:
             raise ls.ConfigError(f"{counted(len(self.files), 'file')} given, expected a capture and a folder")
-        *scene_files, folder = self.files
+        *captures, folder = self.files
         if self.materials:
-            self._compare_materials(scene_files, folder)
-            return
+            self._compare_materials(captures, folder)
+        else:
+            self._compare_views(captures, folder)
+
+    def _compare_views(self, scene_files: Sequence[Path], folder: Path) -> None:
+        """Renders and compares the held-out views, prints a table, and writes a report if asked."""
         if self.environment or self.samples is not None or self.pipeline in ("hybrid", "path"):
             raise ls.ConfigError("--environment, --samples and the pipelines hybrid and path need --materials")
         config = scene_settings(scene_file(scene_files))
@@ -158,6 +177,73 @@ class Evaluate(LoadingCommand, DeviceCommand):
             _write_material_report(self.output, result)
             print(f"{self.output}: metrics.json, and images of the worst views: estimate, truth and difference")
 
+    def _compare_published(self, benchmark: ls.inverse.Benchmark) -> None:
+        """Scores a capture by the rules of a published benchmark, and trains it first if none is given."""
+        if self.materials or self.environment or self.projection is not None or self.background is not None:
+            raise ls.ConfigError("--materials, --environment, --projection and --background exclude --protocol")
+        if self.scale != 1.0 or self.hold_out != _HOLD_OUT:
+            raise ls.ConfigError("--scale and --hold-out exclude --protocol: the benchmark says which images count")
+        if not 1 <= len(self.files) <= 2:
+            raise ls.ConfigError(f"{counted(len(self.files), 'file')} given, expected a capture and a folder")
+        *captures, folder = self.files
+        if not captures and self.output is None:
+            raise ls.ConfigError("without a capture, one is trained: -o OUT says where it is written")
+        if self.output is not None:
+            check_folder(self.output)
+        ls.inverse.check_published(folder, benchmark, self.lights)
+        seconds: float | None = None
+        if captures:
+            file = captures[0]
+        else:
+            assert self.output is not None
+            file, seconds = self._trained(folder, benchmark, self.output)
+        config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
+        with progress_bars() as report:
+            self.quiet_warp()
+            capture = self.load_asset(file, report)
+            if not isinstance(capture, ls.Gaussians):
+                raise ls.FormatError(file, "is not a capture, expected Gaussians")
+            result = ls.inverse.evaluate_published(
+                capture,
+                folder,
+                benchmark,
+                lights=self.lights,
+                config=config,
+                samples=self.samples,
+                device=self.device,
+                progress=report,
+            )
+        for line in result.remarks:
+            _log.warning("%s", line)
+        rows = [
+            [_published_label(name), _number(value, 4 if value < 2.0 else 2)] for name, value in result.figures.items()
+        ]
+        if seconds is not None:
+            rows.append(["training, seconds", f"{seconds:.0f}"])
+        print_columns([f"{result.views} views", self.protocol or ""], rows)
+        if self.output is not None:
+            make_folder(self.output)
+            figures = plain(dict(result.figures)) | {"albedo_scale": list(result.albedo_scale), "seconds": seconds}
+            write_json(self.output / "metrics.json", {"protocol": self.protocol, "figures": figures})
+            print(f"{self.output}: metrics.json")
+
+    def _trained(self, folder: Path, benchmark: ls.inverse.Benchmark, output: Path) -> tuple[Path, float]:
+        """Trains a capture by the defaults of ``train --relightable``; returns its file, and the seconds it took."""
+        from lumisplat.cli.commands.train import Train
+
+        images = folder
+        if benchmark is ls.inverse.Benchmark.ORB:
+            images = ls.inverse.write_published_images(folder, output / "images")
+        started = time.monotonic()
+        command = Train(
+            folder=images,
+            output=output / f"{folder.resolve().name}.ply",
+            relightable=benchmark is not ls.inverse.Benchmark.NERF_SYNTHETIC,
+            device=self.device,
+        )
+        command.run()
+        return command.output, time.monotonic() - started
+
     def _views(
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
     ) -> Sequence[ls.io.TrainingImage]:
@@ -196,6 +282,29 @@ def _common_scales(views: Sequence[ls.io.TrainingImage]) -> int:
         size = f"{smallest.width} x {smallest.height}"
         _log.warning("ms-ssim has %d scales: images of %s pixels are too small for 5", scales, size)
     return max(1, scales)
+
+
+_PUBLISHED = {
+    "novel": "novel views",
+    "normal_mae": "normals, mean error of the image, degrees",
+    "normal_mae_object": "normals, mean error of the object, degrees",
+    "normal_cosine": "normals, cosine distance",
+    "roughness_mse": "roughness, mean squared error",
+    "psnr_h": "PSNR-H, dB",
+    "psnr_l": "PSNR-L, dB",
+    "psnr": "PSNR, dB",
+    "ssim": "SSIM",
+}
+"""Words of the table for the names of figures, and for their parts."""
+
+
+def _published_label(name: str) -> str:
+    """Returns the words for a figure such as ``relit_psnr/city``: relit in city, PSNR, dB."""
+    name, _, light = name.partition("/")
+    if name in _PUBLISHED:
+        return _PUBLISHED[name]
+    what, _, metric = name.partition("_")
+    return f"{_PUBLISHED.get(what, what)}{f' in {light}' if light else ''}, {_PUBLISHED.get(metric, metric)}"
 
 
 _FIGURES = {
