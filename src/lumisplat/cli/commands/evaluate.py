@@ -238,6 +238,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         command = Train(
             folder=images,
             output=output / f"{folder.resolve().name}.ply",
+            hold_out=0,
             relightable=benchmark is not ls.inverse.Benchmark.NERF_SYNTHETIC,
             device=self.device,
         )
