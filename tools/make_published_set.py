@@ -11,8 +11,8 @@ objects that are made here by formulas::
     basket   wires and leaves: thin parts
     cushion  a folded cushion of woven cloth
 
-The environments are those that come with Blender (Poly Haven, CC0). Each is scaled so that 99 % of the object's pixels
-are below 0.8, linear, and is stored with that scale in OUT/lights. ``--size 800 --views 100 --test-views 200`` are the
+The environments are those that come with Blender (Poly Haven, CC0), stored in OUT/lights with a scale that gives the
+brightest side of a white ball a radiance of 1. ``--size 800 --views 100 --test-views 200`` are the
 numbers of the originals and take about 11 hours of two cores; ``--size 400 --views 100 --test-views 20`` 40 minutes.
 """
 
@@ -42,8 +42,6 @@ STORED = {
 """Names under which a layout stores the environments of relit images."""
 ANGLE, RADIUS = 0.6911112070083618, 4.031128
 """Field of view, radians, and distance of the cameras, as in NeRF's synthetic scenes."""
-BRIGHT_SHARE, BRIGHT = 0.99, 0.8
-"""Quantile of the object's linear channel values, and the value that exposure gives it."""
 
 
 def main() -> None:
@@ -114,40 +112,20 @@ class Studio:
         return pose
 
     def light(self, name: str) -> np.ndarray:
-        """Lights the scene by an environment of Blender's, exposed for the object; returns it, linear, (H, W, 3)."""
+        """Lights the scene by an environment of Blender's; returns it with its scale, linear, (H, W, 3)."""
         folder = Path(bpy.utils.resource_path("LOCAL")) / "datafiles" / "studiolights" / "world"
         stored = bpy.data.images.load(str(folder / f"{name}.exr"), check_existing=True)
         width, height = stored.size
         pixels = np.empty(width * height * 4, np.float32)
         stored.pixels.foreach_get(pixels)
-        self._show(pixels, width, height, name)
-        pilots = np.concatenate([self._pilot(eye(k / 6.0, 0.2 + 0.1 * k)) for k in range(6)])
-        pixels.reshape(-1, 4)[:, :3] *= BRIGHT / float(np.quantile(pilots, BRIGHT_SHARE))
-        self._show(pixels, width, height, name)
-        return pixels.reshape(height, width, 4)[::-1, :, :3].copy()
-
-    def _show(self, pixels: np.ndarray, width: int, height: int, name: str) -> None:
+        panorama = pixels.reshape(height, width, 4)
+        panorama[..., :3] /= brightest_side(panorama[::-1, :, :3])
         image = bpy.data.images.new(f"{name} scaled", width, height, float_buffer=True)
         image.colorspace_settings.name = "Non-Color"
         image.pixels.foreach_set(pixels)
         image.update()
         self._image.image = image
-
-    def _pilot(self, point: np.ndarray) -> np.ndarray:
-        """Returns linear channel values of the object's pixels in a small image."""
-        self.look_from(point)
-        pixels = self._render_linear(64, 64)
-        return pixels[pixels[..., 3] > 0.99][:, :3].ravel()
-
-    def _render_linear(self, size: int, samples: int) -> np.ndarray:
-        path = Path(bpy.app.tempdir) / "linear.exr"
-        self._render(path, size, samples, "OPEN_EXR")
-        image = bpy.data.images.load(str(path))
-        image.colorspace_settings.name = "Non-Color"
-        pixels = np.empty(size * size * 4, np.float32)
-        image.pixels.foreach_get(pixels)
-        bpy.data.images.remove(image)
-        return pixels.reshape(size, size, 4)[::-1]
+        return panorama[::-1, :, :3].copy()
 
     def _render(self, path: Path, size: int, samples: int, kind: str) -> None:
         render, cycles = self.scene.render, self.scene.cycles
@@ -186,6 +164,20 @@ class Studio:
         bpy.data.images.remove(image)
         path.unlink()
         return pixels.reshape(self._size, self._size, 4)[::-1]
+
+
+def brightest_side(panorama: np.ndarray) -> float:
+    """Returns the largest irradiance over pi, over normals and channels, in a panorama with z up."""
+    height, width = 32, 64
+    rows = panorama[: panorama.shape[0] // height * height, : panorama.shape[1] // width * width]
+    coarse = rows.reshape(height, -1, width, rows.shape[1] // width, 3).mean(axis=(1, 3))
+    polar = (np.arange(height)[:, None] + 0.5) * np.pi / height
+    turn = np.pi - (np.arange(width)[None] + 0.5) * 2.0 * np.pi / width
+    parts = np.broadcast_arrays(np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar))
+    directions = np.stack(parts, axis=-1).reshape(-1, 3)
+    angles = np.repeat(np.sin(polar[:, 0]), width) * (np.pi / height) * (2.0 * np.pi / width)
+    cosines = np.maximum(directions @ directions.T, 0.0) * angles
+    return float((cosines @ coarse.reshape(-1, 3)).max() / np.pi)
 
 
 def save_environment(path: Path, pixels: np.ndarray) -> None:
