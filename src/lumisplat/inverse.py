@@ -8,7 +8,7 @@ from lumisplat.relighting.fitting.fit_lights import fit_lights
 from lumisplat.relighting.fitting.results import FittedView, LightFit
 from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
 from lumisplat.relighting.protocols import Benchmark, PublishedFigures, check_published, evaluate_published
-from lumisplat.relighting.published_sets import write_orb_images as write_published_images
+from lumisplat.relighting.published_sets import write_orb_images
 from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
 from lumisplat.training.find_materials import FoundMaterials, find_materials
 
@@ -35,5 +35,5 @@ __all__ = [
     "find_materials",
     "fit_lights",
     "surface_remark",
-    "write_published_images",
+    "write_orb_images",
 ]

@@ -233,7 +233,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
         images = folder
         if benchmark is ls.inverse.Benchmark.ORB:
-            images = ls.inverse.write_published_images(folder, output / "images")
+            images = ls.inverse.write_orb_images(folder, output / "images")
         started = time.monotonic()
         command = Train(
             folder=images,
