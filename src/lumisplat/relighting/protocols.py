@@ -217,8 +217,9 @@ def _shown(layers: LayerRenderer, camera: Camera, size: int | None) -> _Shown:
     seen = _sized(camera, size)
     drawn = layers.draw(seen)
     look = layers.look(seen)
+    alpha = np.clip(look.alpha, 0.0, 1.0)[..., None]
     novel = np.clip(look.premultiplied(), 0.0, 1.0)
-    return _Shown(novel, look.alpha[..., None], drawn["albedo"], drawn["normal"], drawn.get("roughness"), seen)
+    return _Shown(novel, alpha, drawn["albedo"], drawn["normal"], drawn.get("roughness"), seen)
 
 
 def _sized(camera: Camera, size: int | None) -> Camera:
@@ -292,7 +293,9 @@ Remarks = dict[str, None]
 
 def _tensoir(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> dict[str, float]:
     """Compares a view over white; albedo, stored linear, with a gamma of 2.2; normals with (0, 0, 1) around."""
-    figures = _similar("novel", shown.novel + 1.0 - shown.alpha, _over_white(truth.color, truth.alpha), remarks)
+    figures = _similar(
+        "novel", np.minimum(shown.novel + 1.0 - shown.alpha, 1.0), _over_white(truth.color, truth.alpha), remarks
+    )
     albedo, normal = truth.layer("albedo"), truth.layer("normal")
     assert albedo is not None
     assert normal is not None
@@ -314,7 +317,9 @@ def _tensoir_relit(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks:
 
 def _synthetic4relight(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> dict[str, float]:
     """Compares a view over white, inside the true mask; albedo as it is stored, which is linear."""
-    figures = _similar("novel", shown.novel + 1.0 - shown.alpha, _over_white(truth.color, truth.alpha), remarks)
+    figures = _similar(
+        "novel", np.minimum(shown.novel + 1.0 - shown.alpha, 1.0), _over_white(truth.color, truth.alpha), remarks
+    )
     albedo, roughness = truth.layer("albedo"), truth.layer("roughness")
     assert albedo is not None
     assert roughness is not None
@@ -332,7 +337,9 @@ def _synthetic4relight_relit(truth: _Truth, color: FloatArray, alpha: FloatArray
 
 
 def _nerf_synthetic(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> dict[str, float]:
-    return _similar("novel", shown.novel + 1.0 - shown.alpha, _over_white(truth.color, truth.alpha), remarks)
+    return _similar(
+        "novel", np.minimum(shown.novel + 1.0 - shown.alpha, 1.0), _over_white(truth.color, truth.alpha), remarks
+    )
 
 
 def _nothing(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> dict[str, float]:
