@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.scene.animation.retargeting import human_joints
-from lumisplat.scene.animation.rig import Rig
+from lumisplat.scene.animation.rig import Rig, RigPart, RigSurface
 from support.files.body_files import body_file, person_bvh, pose_file
 
 STILL = f"0 40 0{' 0' * 27}\n0 40 33{' 0' * 27}\n"
@@ -101,3 +101,27 @@ def test_named_joints_of_a_spine_stay_those_that_they_are_named(named: dict[str,
     rig = person(Waist=("Hips", height), Spine=("Waist", height), Spine1=("Spine", height), Chest=("Spine1", height))
     joints = human_joints(rig.skeleton, named)
     assert [rig.skeleton.names[joints[f"spine{k}"]] for k in (1, 2, 3)] == spine
+
+
+def test_joints_that_move_no_skin_themselves_are_known_above_those_that_do_and_by_their_names(tmp_path: Path) -> None:
+    """Only a thigh has skin: the hips above it are known, and the other joints once the user names them."""
+    bare = person(thigh="Thigh", shin="Shin")
+    thigh = bare.skeleton.names.index("LeftThigh")
+    part = RigPart(
+        positions=np.array([[0.0, 0.5, 0.0], [0.1, 0.5, 0.0], [0.0, 0.8, 0.0]], np.float32),
+        normals=None,
+        nodes=np.array([thigh], np.int32),
+        joint_from_bind=np.asarray(np.linalg.inv(bare.skeleton.world_from_node()[[thigh]]), np.float64),
+        joints=np.zeros((3, 1), np.int32),
+        weights=np.ones((3, 1), np.float32),
+    )
+    surface = RigSurface((part,), np.array([[0, 1, 2]], np.int32), ls.MaterialPbr(), None, None, "thigh")
+    rig = replace(bare, surfaces=(surface,))
+    (tmp_path / "hop.bvh").write_text(person_bvh(STILL))
+    with pytest.raises(ls.FormatError, match="the rig has no joint known as left_hip, left_knee"):
+        ls.avatars.load_motion(tmp_path / "hop.bvh", rig)
+    legs = {"Thigh": "hip", "Shin": "knee", "Foot": "ankle"}
+    joints = {f"{side}{own}": f"{side.lower()}_{joint}" for side in ("Left", "Right") for own, joint in legs.items()}
+    moved = ls.avatars.load_motion(tmp_path / "hop.bvh", rig, joints=joints)
+    hips = [moved.skeleton.world_from_node(moved.animations[0], time)[0, :3, 3] for time in (0.0, 0.5)]
+    np.testing.assert_allclose(hips[1] - hips[0], [0.0, 0.0, 0.8], atol=1e-6)  # 33 inches, by legs of 0.8 m

@@ -200,8 +200,7 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | 
             message lists them.
     """
     target = rig.skeleton
-    skinned = {int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes}
-    movable = (skinned or set(target.order)).difference(target.matrices)
+    movable = _joints_of_skin(rig, named or {}).difference(target.matrices)
     theirs = human_joints(source, named)
     known = human_joints(target, _named_in_rig(target, source, named or {}))
     ours = {k: node for k, node in known.items() if node in movable}
@@ -224,6 +223,22 @@ def retarget(source: Skeleton, clip: Clip, rig: Rig, named: Mapping[str, str] | 
         sorted(target.names[node] for name, node in ours.items() if name not in theirs),
         not is_standing,
     )
+
+
+def _joints_of_skin(rig: Rig, named: Mapping[str, str]) -> set[int]:
+    """Returns the nodes that move skin, those above them, and named ones; all nodes of a rig without skin.
+
+    Other nodes may have the same names, such as the handles of an animator.
+    """
+    skeleton = rig.skeleton
+    joints = {int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes}
+    if not joints:
+        return set(skeleton.order)
+    for node in reversed(skeleton.order):
+        parent = skeleton.parents[node]
+        if node in joints and parent is not None:
+            joints.add(parent)
+    return joints | {node for node, name in enumerate(skeleton.names) if name in named}
 
 
 def _check_legs(owner: str, skeleton: Skeleton, joints: dict[str, int], movable: dict[str, int]) -> None:
