@@ -76,7 +76,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         Literal["tensoir", "synthetic4relight", "orb", "nerf-synthetic"] | None,
         arg(metavar="NAME", help_behavior_hint=""),
     ] = None
-    """Score by the rules of a benchmark; without a capture, train one into OUT first."""
+    """Score by a benchmark's rules: tensoir, synthetic4relight, orb, nerf-synthetic; without a capture, train one."""
     lights: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="")] = None
     """With --protocol: read the environments of relit images from this folder."""
 
