@@ -643,6 +643,34 @@ def test_viewer_notifications_wait_until_a_page_is_open(viewer: ls.Viewer) -> No
         ]
 
 
+def test_a_camera_that_is_stored_late_does_not_replace_the_one_that_has_stopped(
+    viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread reads a camera, and stores it only after a later one has arrived and stopped."""
+    read, pose_of = threading.Event(), Pose.of
+
+    def read_slowly(*arguments: Any) -> Pose:
+        pose = pose_of(*arguments)
+        if not read.is_set():
+            read.set()
+            time.sleep(0.3)
+        return pose
+
+    with PageClient(viewer.url) as page:
+        page.look(camera())
+        settled(viewer, page)
+        (stopped,) = viewer._pages.values()
+        monkeypatch.setattr(Pose, "of", read_slowly)
+        page.look(camera(0.3))
+        assert read.wait(10.0)
+        page.look(camera(0.6))
+        page.stop()
+        eventually(lambda: stopped._has_stopped, "no stop arrived")
+        last = stopped.pose
+        time.sleep(0.5)
+        assert stopped._has_stopped and stopped.pose == last
+
+
 def test_viewers_render_loop_does_not_add_a_page_that_has_already_closed(viewer: ls.Viewer) -> None:
     """A closed page in the render loop would never be removed."""
     page = Page(BrowserScreen(cast(Any, None)), viewer._session.changed)

@@ -73,6 +73,8 @@ class Viewer:
         self._viser = self._server.viser
         self._session = Session(options)
         self._pages: dict[int, Page] = {}
+        self._looking = threading.Lock()
+        """Held while a camera is read and stored, so that no thread stores an older pose after a newer one."""
         self._is_closed = False
         self._closed_or_failed = threading.Event()
         self._failure: Exception | None = None
@@ -341,8 +343,9 @@ class Viewer:
         """Updates the page's stored camera from its browser. If only the window was resized, fits the scene again."""
         page = self._pages.get(client.client_id)
         if page is not None:
-            before, now = page.pose, Pose.of(client.camera, self._session.extent.page_from_scene)
-            page.set_pose(now)
+            with self._looking:
+                before, now = page.pose, Pose.of(client.camera, self._session.extent.page_from_scene)
+                page.set_pose(now)
             if before is not None and before.aspect != now.aspect and self._fits_scene(page, now):
                 self._fit_scene(client)
 
