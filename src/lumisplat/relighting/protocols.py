@@ -19,7 +19,6 @@ from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.errors import FormatError, MissingExtraError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.images.radiance import LINEAR, read_radiance
-from lumisplat.io.images.texture import read_texture
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.resampling import area_mean
@@ -36,6 +35,7 @@ from lumisplat.relighting.published_sets import (
     open_orb,
     open_synthetic4relight,
     open_tensoir,
+    unit_texels,
 )
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.camera import Camera
@@ -43,6 +43,15 @@ from lumisplat.scene.gaussians import Gaussians
 
 Scale = tuple[float, float, float]
 """Factor of each channel of the estimated albedo."""
+
+Figures = dict[str, float]
+"""Figures of one view by name, or their means."""
+
+Remarks = dict[str, None]
+"""Sentences in order, without repetition."""
+
+_MSE = "mse:"
+"""Prefix of figures of which the mean counts as PSNR."""
 
 
 class Benchmark(Enum):
@@ -70,7 +79,7 @@ class PublishedFigures:
     albedo_scale: Scale
     """Factor of each channel of the estimated albedo; 1 where the rules have none."""
     remarks: tuple[str, ...]
-    """What the set or the installed packages lack, one sentence each."""
+    """Sentences that say what was not computed, and what the set or the installed packages lack for it."""
 
 
 def check_published(folder: PathLike, benchmark: Benchmark, lights: PathLike | None = None) -> None:
@@ -122,30 +131,29 @@ def evaluate_published(
     rules, report = _RULES[benchmark], progress or no_progress
     found = rules.open(Path(folder), None if lights is None else Path(lights))
     given = with_albedo(gaussians)
-    layers, remarks = LayerRenderer.of(given, device), dict[str, None]()
+    layers, remarks = LayerRenderer.of(given, device), Remarks()
     scale: Scale = (1.0, 1.0, 1.0)
     if rules.scaling_views is not None and "albedo" in found.views[0].layers:
         chosen = [found.views[row] for row in rules.scaling_views(len(found.views))]
         scale = _scale((_Truth.of(view, rules.size), _shown(layers, view.camera, rules.size)) for view in chosen)
-    rows: list[dict[str, float]] = []
+    rows: list[Figures] = []
     for index, view in enumerate(found.views):
         report("comparing views", index / len(found.views))
         truth, shown = _Truth.of(view, rules.size), _shown(layers, view.camera, rules.size)
         rows.append(rules.compare(truth, shown, scale, remarks))
     figures = _means(rows)
-    settings = relighting_config(config or RenderConfig(pipeline=Pipeline.PATH), samples, gaussians)
-    renderer, under = create_renderer(settings, device), dict[str, list[dict[str, float]]]()
-    for index, view in enumerate(found.relit):
-        report("relighting", index / len(found.relit))
-        scene = relit_scene(given, (view.lights(),), scale, 1.0)
-        frame = renderer.render(scene, _sized(view.camera, rules.size))
-        truth = _Truth.of(view, rules.size)
-        under.setdefault(view.light, []).append(
-            rules.compare_relit(truth, frame.straight(), frame.alpha[..., None], remarks)
-        )
-    report("comparing", 1.0)
-    if not under and rules.compare_relit is not _nothing:
+    under: dict[str, list[Figures]] = {}
+    if found.relit:
+        settings = relighting_config(config or RenderConfig(pipeline=Pipeline.PATH), samples, gaussians)
+        renderer = create_renderer(settings, device)
+        for index, view in enumerate(found.relit):
+            report("relighting", index / len(found.relit))
+            frame = renderer.render(relit_scene(given, (view.lights(),), scale, 1.0), _sized(view.camera, rules.size))
+            seen = _Truth.of(view, rules.size), frame.straight(), frame.alpha[..., None]
+            under.setdefault(view.light, []).append(rules.compare_relit(*seen, remarks))
+    elif rules.compare_relit is not _nothing:
         remarks["nothing is relit: lights, the folder of the environments, is not given"] = None
+    report("comparing", 1.0)
     figures |= _means([row for rows in under.values() for row in rows])
     for light, rows in under.items():
         figures |= {f"{name}/{light}": value for name, value in _means(rows).items()}
@@ -172,10 +180,10 @@ class _Truth(NamedTuple):
         if view.image.suffix.lower() in LINEAR:
             color, alpha = _resized(read_radiance(view.image), size), None
         else:
-            texels = _resized(_texels(view.image), size)
+            texels = _resized(unit_texels(view.image), size)
             color, alpha = texels[..., :3], texels[..., 3:] if texels.shape[2] == 4 else None
         if view.mask is not None:
-            alpha = _resized(_texels(view.mask)[..., :1], size)
+            alpha = _resized(unit_texels(view.mask)[..., :1], size)
         camera = _sized(view.camera, size)
         if color.shape[:2] != (camera.height, camera.width):
             found = f"{color.shape[1]} x {color.shape[0]}"
@@ -189,7 +197,7 @@ class _Truth(NamedTuple):
             return None
         if path.suffix == ".npy":
             return _resized(np.load(path, allow_pickle=False).astype(np.float32), self.size)
-        return _resized(_texels(path), self.size)
+        return _resized(unit_texels(path), self.size)
 
     @property
     def inside(self) -> Flags:
@@ -226,10 +234,6 @@ def _sized(camera: Camera, size: int | None) -> Camera:
     return camera if size is None or camera.height <= size else camera.scaled(size, size)
 
 
-def _texels(path: Path) -> FloatArray:
-    return read_texture(path).astype(np.float32) / np.float32(255.0)
-
-
 def _resized(image: FloatArray, size: int | None) -> FloatArray:
     return image if size is None or len(image) <= size else area_mean(image, size, size)
 
@@ -246,15 +250,16 @@ def _scale(pairs: Iterable[tuple[_Truth, _Shown]]) -> Scale:
     return red, green, blue
 
 
-def _means(rows: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Returns the mean of each figure; ``mse:NAME`` becomes ``NAME_psnr``, the PSNR of the mean squared error, dB."""
-    means = {name: float(np.mean([row[name] for row in rows])) for name in (rows[0] if rows else ())}
-    return {
-        f"{name.removeprefix('mse:')}_psnr" if name.startswith("mse:") else name: (
-            _decibels(value) if name.startswith("mse:") else value
-        )
-        for name, value in means.items()
-    }
+def _means(rows: Sequence[Figures]) -> Figures:
+    """Returns the mean of each figure; that of ``mse:NAME`` as ``NAME_psnr``, dB."""
+    means: Figures = {}
+    for name in rows[0] if rows else ():
+        mean = float(np.mean([row[name] for row in rows]))
+        if name.startswith(_MSE):
+            means[f"{name.removeprefix(_MSE)}_psnr"] = _decibels(mean)
+        else:
+            means[name] = mean
+    return means
 
 
 def _decibels(error: float) -> float:
@@ -265,7 +270,7 @@ def _psnr(found: FloatArray, truth: FloatArray) -> float:
     return _decibels(float(np.mean((found.astype(np.float64) - truth) ** 2)))
 
 
-def _similar(name: str, found: FloatArray, truth: FloatArray, remarks: dict[str, None]) -> dict[str, float]:
+def _similar(name: str, found: FloatArray, truth: FloatArray, remarks: Remarks) -> Figures:
     """Returns PSNR and SSIM of two images in 0..1, as figures with a prefix."""
     figures = {f"{name}_psnr": _psnr(found, truth)}
     try:
@@ -287,21 +292,21 @@ def _displayed(linear: FloatArray) -> FloatArray:
     return encode_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32)
 
 
-Remarks = dict[str, None]
-"""Sentences, without repetition."""
+def _novel(truth: _Truth, shown: _Shown, _: Scale, remarks: Remarks) -> Figures:
+    """Compares the captured look with the image, both over white."""
+    found = np.minimum(shown.novel + 1.0 - shown.alpha, 1.0)
+    return _similar("novel", found, _over_white(truth.color, truth.alpha), remarks)
 
 
-def _tensoir(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> dict[str, float]:
+def _tensoir(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> Figures:
     """Compares a view over white; albedo, stored linear, with a gamma of 2.2; normals with (0, 0, 1) around."""
-    figures = _similar(
-        "novel", np.minimum(shown.novel + 1.0 - shown.alpha, 1.0), _over_white(truth.color, truth.alpha), remarks
-    )
+    figures = _novel(truth, shown, scale, remarks)
     albedo, normal = truth.layer("albedo"), truth.layer("normal")
     assert albedo is not None
     assert normal is not None
     wanted = _over_white(albedo[..., :3], albedo[..., 3:])
     found = np.where(truth.inside[..., None], _over_white(_scaled(shown.albedo, scale), shown.alpha), np.float32(1.0))
-    figures["mse:albedo"] = float(np.mean((found ** (1.0 / 2.2) - wanted ** (1.0 / 2.2)) ** 2))
+    figures[f"{_MSE}albedo"] = float(np.mean((found ** (1.0 / 2.2) - wanted ** (1.0 / 2.2)) ** 2))
     around = np.array([0.0, 0.0, 1.0], np.float32)
     turned = (2.0 * normal[..., :3] - 1.0) * normal[..., 3:] + around * (1.0 - normal[..., 3:])
     estimated = shown.normal * shown.alpha + around * (1.0 - shown.alpha)
@@ -311,15 +316,13 @@ def _tensoir(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> di
     return figures | {"normal_mae": float(angles.mean()), "normal_mae_object": float(object_angles.mean())}
 
 
-def _tensoir_relit(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> dict[str, float]:
+def _tensoir_relit(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> Figures:
     return _similar("relit", _over_white(_displayed(color), alpha), _over_white(truth.color, truth.alpha), remarks)
 
 
-def _synthetic4relight(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> dict[str, float]:
+def _synthetic4relight(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> Figures:
     """Compares a view over white, inside the true mask; albedo as it is stored, which is linear."""
-    figures = _similar(
-        "novel", np.minimum(shown.novel + 1.0 - shown.alpha, 1.0), _over_white(truth.color, truth.alpha), remarks
-    )
+    figures = _novel(truth, shown, scale, remarks)
     albedo, roughness = truth.layer("albedo"), truth.layer("roughness")
     assert albedo is not None
     assert roughness is not None
@@ -331,23 +334,17 @@ def _synthetic4relight(truth: _Truth, shown: _Shown, scale: Scale, remarks: Rema
     return figures
 
 
-def _synthetic4relight_relit(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> dict[str, float]:
+def _synthetic4relight_relit(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> Figures:
     found = _over_white(_over_white(_displayed(color), alpha), truth.alpha)
     return _similar("relit", found, _over_white(truth.color, truth.alpha), remarks)
 
 
-def _nerf_synthetic(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> dict[str, float]:
-    return _similar(
-        "novel", np.minimum(shown.novel + 1.0 - shown.alpha, 1.0), _over_white(truth.color, truth.alpha), remarks
-    )
-
-
-def _nothing(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> dict[str, float]:
+def _nothing(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> Figures:
     """Compares nothing: the benchmark has no relit images."""
     return {}
 
 
-def _orb(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> dict[str, float]:
+def _orb(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> Figures:
     """Compares a photograph: HDR up to 4, and as displayed, each after the best factor of each channel."""
     figures = _orb_similar("novel", truth, decode_srgb(shown.novel).astype(np.float32), remarks)
     albedo, normal, mask = truth.layer("albedo"), truth.layer("normal"), _eroded(truth.alpha)
@@ -364,11 +361,11 @@ def _orb(truth: _Truth, shown: _Shown, scale: Scale, remarks: Remarks) -> dict[s
     return figures
 
 
-def _orb_relit(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> dict[str, float]:
+def _orb_relit(truth: _Truth, color: FloatArray, alpha: FloatArray, remarks: Remarks) -> Figures:
     return _orb_similar("relit", truth, color * alpha, remarks)
 
 
-def _orb_similar(name: str, truth: _Truth, found: FloatArray, remarks: Remarks) -> dict[str, float]:
+def _orb_similar(name: str, truth: _Truth, found: FloatArray, remarks: Remarks) -> Figures:
     """Returns PSNR-H, PSNR-L and SSIM of linear images, over the eroded mask and black around it."""
     mask = _eroded(truth.alpha)
     wanted = np.maximum(truth.color, 0.0) * mask
@@ -401,9 +398,9 @@ class _Rules:
     """How a benchmark finds its files and computes its figures."""
 
     open: Callable[[Path, Path | None], PublishedSet]
-    compare: Callable[[_Truth, _Shown, Scale, Remarks], dict[str, float]]
+    compare: Callable[[_Truth, _Shown, Scale, Remarks], Figures]
     """Figures of one view in the light of the training images."""
-    compare_relit: Callable[[_Truth, FloatArray, FloatArray, Remarks], dict[str, float]]
+    compare_relit: Callable[[_Truth, FloatArray, FloatArray, Remarks], Figures]
     """Figures of one relit view, from straight linear colours and alpha."""
     scaling_views: Callable[[int], Iterable[int]] | None = None
     """Test views, of a number of them, that tell the scale of the albedo; None: it is not scaled for relighting."""
@@ -419,5 +416,5 @@ _RULES = {
         open_synthetic4relight, _synthetic4relight, _synthetic4relight_relit, lambda count: range(1)
     ),
     Benchmark.ORB: _Rules(open_orb, _orb, _orb_relit, size=ORB_SIZE),
-    Benchmark.NERF_SYNTHETIC: _Rules(open_nerf_synthetic, _nerf_synthetic, _nothing),
+    Benchmark.NERF_SYNTHETIC: _Rules(open_nerf_synthetic, _novel, _nothing),
 }

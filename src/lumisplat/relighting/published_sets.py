@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.frame.frame_data import unpremultiplied
@@ -93,13 +92,12 @@ class RelitView:
 class PublishedSet:
     """One object of a published benchmark."""
 
-    folder: Path
     views: tuple[TestView, ...]
     relit: tuple[RelitView, ...]
 
 
 def existing(path: Path) -> Path:
-    """Returns a path.
+    """Returns the path of a file that the set must have.
 
     Raises:
         MissingFileError: There is no such file.
@@ -129,7 +127,7 @@ def open_tensoir(folder: Path, lights: Path | None) -> PublishedSet:
             assert lights is not None
             image = existing(place / f"rgba_{name}.png")
             relit.append(RelitView(name, one.camera, image, existing(lights / f"{name}.hdr"), _Z_UP))
-    return PublishedSet(folder, tuple(views), tuple(relit))
+    return PublishedSet(tuple(views), tuple(relit))
 
 
 def open_synthetic4relight(folder: Path, lights: Path | None) -> PublishedSet:
@@ -155,7 +153,7 @@ def open_synthetic4relight(folder: Path, lights: Path | None) -> PublishedSet:
             assert lights is not None
             target = existing(folder / "test_rli" / f"{name}_{stem}.png")
             relit.append(RelitView(name, camera, target, existing(lights / f"{name}.exr"), _Z_UP))
-    return PublishedSet(folder, tuple(views), tuple(relit))
+    return PublishedSet(tuple(views), tuple(relit))
 
 
 def open_nerf_synthetic(folder: Path, lights: Path | None) -> PublishedSet:
@@ -167,7 +165,7 @@ def open_nerf_synthetic(folder: Path, lights: Path | None) -> PublishedSet:
     if lights is not None:
         raise FormatError(folder, "is evaluated without other light: NeRF-Synthetic has no relit images")
     listed = transforms_views(folder / "transforms_test.json")
-    return PublishedSet(folder, tuple(TestView(camera, image) for camera, image, _ in listed), ())
+    return PublishedSet(tuple(TestView(camera, image) for camera, image, _ in listed), ())
 
 
 def open_orb(folder: Path, lights: Path | None) -> PublishedSet:
@@ -199,7 +197,7 @@ def open_orb(folder: Path, lights: Path | None) -> PublishedSet:
         # The panorama has the axes of the camera, x right, y up and -z forward.
         turn = camera.world_from_camera[:3, :3] * (1.0, -1.0, -1.0)
         relit.append(RelitView(scene, camera, image, light, turn, _orb_mask(image)))
-    return PublishedSet(folder, tuple(views), tuple(relit))
+    return PublishedSet(tuple(views), tuple(relit))
 
 
 def write_orb_images(folder: Path, output: Path) -> Path:
@@ -218,8 +216,8 @@ def write_orb_images(folder: Path, output: Path) -> Path:
     (output / "train").mkdir(parents=True, exist_ok=True)
     cameras: list[Camera] = []
     for camera, image, _ in transforms_views(folder / "transforms_train.json"):
-        color = read_radiance(image) if image.suffix == ".exr" else decode_srgb(_unit(read_texture(image))[..., :3])
-        alpha = _unit(read_texture(_orb_mask(image)))[..., :1]
+        color = read_radiance(image) if image.suffix == ".exr" else decode_srgb(unit_texels(image)[..., :3])
+        alpha = unit_texels(_orb_mask(image))[..., :1]
         pixels = np.concatenate([color * alpha, alpha], axis=2).astype(np.float32)
         size = min(len(pixels), ORB_SIZE)
         pixels = area_mean(pixels, size, size)
@@ -230,8 +228,9 @@ def write_orb_images(folder: Path, output: Path) -> Path:
     return output
 
 
-def _unit(texels: npt.NDArray[np.uint8]) -> FloatArray:
-    return texels.astype(np.float32) / np.float32(255.0)
+def unit_texels(path: Path) -> FloatArray:
+    """Reads an image of 8 bits as values in 0..1, as they are stored, shape (H, W, C)."""
+    return read_texture(path).astype(np.float32) / np.float32(255.0)
 
 
 def _orb_scene(file: Path, frame: Mapping[str, Any]) -> Path:

@@ -27,7 +27,7 @@ from lumisplat.cli.output.comparisons import (
     write_json,
     write_view_comparison,
 )
-from lumisplat.cli.output.console import counted, print_columns, progress_bars
+from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars
 from lumisplat.cli.output.images import check_folder, file_stems, make_folder
 
 _log = logging.getLogger("lumisplat")
@@ -59,7 +59,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
     hold_out: Annotated[int, arg(metavar="N")] = _HOLD_OUT
     """Compare the images that train --hold-out N holds out: every N-th, or test images."""
     pipeline: Annotated[Literal["raster", "trace", "hybrid", "path"] | None, setting("NAME", "raster")] = None
-    """Render by raster or trace; with --materials, also hybrid (its default) or path (in rooms)."""
+    """Render by raster or trace; with --materials or --protocol, also hybrid or path."""
     projection: Annotated[Literal["ewa", "unscented"] | None, setting("NAME", "ewa")] = None
     """Rasterise as ellipses (ewa), or along the rays of any lens (unscented)."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
@@ -98,7 +98,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
     def _compare_views(self, scene_files: Sequence[Path], folder: Path) -> None:
         """Renders and compares the held-out views, prints a table, and writes a report if asked."""
         if self.environment or self.samples is not None or self.pipeline in ("hybrid", "path"):
-            raise ls.ConfigError("--environment, --samples and the pipelines hybrid and path need --materials")
+            raise ls.ConfigError(
+                "--environment, --samples and the pipelines hybrid and path need --materials or --protocol"
+            )
         config = scene_settings(scene_file(scene_files))
         if self.background is not None:
             config = replace(config, background=self.background)  # pyright: ignore[reportArgumentType]
@@ -158,11 +160,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
         config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
         with progress_bars() as report:
             self.quiet_warp()
-            capture = self.load_asset(captures[0], report)
-            if not isinstance(capture, ls.Gaussians):
-                raise ls.FormatError(captures[0], "is not a capture, expected Gaussians")
             result = ls.inverse.evaluate_materials(
-                capture,
+                self._capture(captures[0], report),
                 folder,
                 environment=light,
                 config=config,
@@ -176,6 +175,13 @@ class Evaluate(LoadingCommand, DeviceCommand):
         if self.output is not None:
             _write_material_report(self.output, result)
             print(f"{self.output}: metrics.json, and images of the worst views: estimate, truth and difference")
+
+    def _capture(self, path: Path, report: Report) -> ls.Gaussians:
+        """Loads a capture, and refuses other files."""
+        capture = self.load_asset(path, report)
+        if not isinstance(capture, ls.Gaussians):
+            raise ls.FormatError(path, "is not a capture, expected Gaussians")
+        return capture
 
     def _compare_published(self, benchmark: ls.inverse.Benchmark) -> None:
         """Scores a capture by the rules of a published benchmark, and trains it first if none is given."""
@@ -200,11 +206,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
         config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
         with progress_bars() as report:
             self.quiet_warp()
-            capture = self.load_asset(file, report)
-            if not isinstance(capture, ls.Gaussians):
-                raise ls.FormatError(file, "is not a capture, expected Gaussians")
             result = ls.inverse.evaluate_published(
-                capture,
+                self._capture(file, report),
                 folder,
                 benchmark,
                 lights=self.lights,

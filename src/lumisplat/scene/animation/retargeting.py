@@ -66,9 +66,10 @@ _STANDING_MIN = 0.5
 """A skeleton stands at rest if its legs point down with at least this cosine."""
 _STANCE_SPEED = 0.2
 """A foot rests while its ankle moves up or down by at most this many leg lengths a second."""
-_STANCE_HEIGHT, _STANCE_QUANTILE = 0.02, 5.0
-"""A resting foot stands if its ankle is at most this many leg lengths above this percentile of both ankles' heights
-while they rest: below it are outliers."""
+_STANCE_QUANTILE = 5.0
+"""Percentile of the heights of both ankles at rest that counts as the ground's; what is below it are outliers."""
+_STANCE_HEIGHT = 0.02
+"""A resting foot stands if its ankle is at most this many leg lengths above that height."""
 _STANCE_SHARE = 0.05
 """Feet that rest in fewer frames than this fraction do not tell where the ground is."""
 _TILT_MIN = math.radians(8.0)
@@ -242,7 +243,7 @@ def _joints_of_skin(rig: Rig, named: Mapping[str, str]) -> set[int]:
 
 
 def _check_legs(owner: str, skeleton: Skeleton, joints: dict[str, int], movable: dict[str, int]) -> None:
-    """Raises a SceneError if a skeleton has no hips or legs; the message has its names, and those that fit to them.
+    """Raises a SceneError if a skeleton has no hips or legs; the message has names of its joints, and those expected.
 
     Args:
         owner: Words for the skeleton's owner.
@@ -337,8 +338,8 @@ def _tracks(
 def _stances(motion: _Motion, joints: dict[str, int]) -> dict[str, Flags]:
     """Returns for each side at which of the T times its foot stands on the ground, shape (T,).
 
-    A foot rests if its ankle hardly rises or falls, below a shin that is upright, as it is not in a kneeling figure. It
-    stands if it is as low as both feet are at most while they rest.
+    A foot rests if its ankle hardly rises or falls and its shin is upright, unlike that of a kneeling figure. A resting
+    foot stands if it is near the lowest height at which either foot rests.
     """
     heights: dict[str, Doubles] = {}
     rests: dict[str, Flags] = {}
@@ -376,7 +377,7 @@ def _tilt(turns: Doubles, leg: Doubles) -> Doubles:
 
 
 def _sole(rig: Rig, rest: Doubles, ankles: set[int]) -> float | None:
-    """Returns the height of the lowest vertex at rest that a foot moves most; None if no vertex is.
+    """Returns the height at rest of the lowest vertex whose strongest joint is one of a foot; None without any.
 
     Args:
         rig: The rig.
@@ -384,7 +385,9 @@ def _sole(rig: Rig, rest: Doubles, ankles: set[int]) -> float | None:
         ankles: Nodes of the ankles.
     """
     feet = set(ankles)
-    feet.update(node for node in rig.skeleton.order if rig.skeleton.parents[node] in feet)
+    for node in rig.skeleton.order:
+        if rig.skeleton.parents[node] in feet:
+            feet.add(node)
     lowest: list[float] = []
     for part in (part for surface in rig.surfaces for part in surface.parts):
         strongest = part.joints[np.arange(len(part.joints)), part.weights.argmax(axis=1)]
