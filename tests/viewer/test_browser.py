@@ -388,10 +388,13 @@ def test_page_says_that_its_camera_has_stopped_once_the_pointer_is_released(brow
     page.mouse.move(300, 420, steps=6)
     page.mouse.up()
     until(lambda: moved._has_stopped, page)
-    for move in (lambda: page.mouse.wheel(0, 200), lambda: page.keyboard.press("d", delay=100)):
+    for move, end in ((lambda: page.mouse.wheel(0, 200), None), (lambda: page.keyboard.down("d"), "d")):
         number = moved.pose_number
         move()
-        until(lambda number=number: moved.pose_number > number and moved._has_stopped, page)
+        until(lambda number=number: moved.pose_number > number, page)
+        if end:
+            page.keyboard.up(end)
+        until(lambda: moved._has_stopped, page)
         last = moved.pose_number
         page.wait_for_timeout(300)
         assert moved.pose_number == last and moved._has_stopped

@@ -290,22 +290,33 @@ function measure(name, pixels) {
   const style = document.documentElement.style;
   if (style.getPropertyValue(name) !== `${pixels}px`) style.setProperty(name, `${pixels}px`);
 }
-// Says when the camera has stopped: no pointer holds it, and viser, which waits up to 20 ms, has sent its last pose.
-let watched = null;
+// Says when the camera has stopped: no pointer holds it, it rests, and viser, which delays poses, has sent the last.
+let watched = null, moves = false, isUnsent = false, sentPose = '';
+const pose = () => [...watched.camera.position, ...watched.camera.quaternion].join();
+function end() {
+  if (!moves && !isUnsent && !watched.currentAction) window.__viserMutable.sendMessage({type: 'CameraStoppedMessage'});
+}
 function watchCamera() {
-  const controls = window.__viserMutable && window.__viserMutable.cameraControl;
+  const mutable = window.__viserMutable, controls = mutable && mutable.cameraControl;
   if (!controls || controls === watched) return;
+  if (!watched) watchMessages(mutable);
   watched = controls;
-  let moves = false, movedAt = 0, timer = 0;
-  const end = () => {
-    clearTimeout(timer);
-    timer = setTimeout(() => {
-      if (!moves && !controls.currentAction) window.__viserMutable.sendMessage({type: 'CameraStoppedMessage'});
-    }, movedAt + 25 - performance.now());
-  };
-  controls.addEventListener('update', () => { moves = true; movedAt = performance.now(); });
+  // viser hears of the update first, and may have sent the pose.
+  controls.addEventListener('update', () => { moves = true; isUnsent = sentPose !== pose(); });
   controls.addEventListener('sleep', () => { moves = false; end(); });
   controls.addEventListener('controlend', end);
+}
+function watchMessages(mutable) {
+  let send = mutable.sendMessage;
+  const watch = (message) => {
+    send(message);
+    if (message.type !== 'ViewerCameraMessage') return;
+    sentPose = pose();
+    if (!isUnsent) return;
+    isUnsent = false;
+    end();
+  };
+  Object.defineProperty(mutable, 'sendMessage', {get: () => watch, set: (to) => { send = to; }});
 }
 let waits = false;
 new MutationObserver(() => {
