@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,28 @@ def test_table_and_report_have_the_figures_of_the_library(work: Workspace) -> No
     assert report["protocol"] == "synthetic4relight"
     assert report["figures"]["novel_psnr"] == pytest.approx(found.figures["novel_psnr"])
     assert report["figures"]["seconds"] is None
+
+
+def test_denoise_option_denoises_every_relit_image(work: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two views, each in two lights; without the option, none is denoised."""
+    denoised: list[ls.Frame] = []
+    monkeypatch.setattr(ls.Frame, "check_denoiser", lambda: None)
+    monkeypatch.setattr(ls.Frame, "denoised", lambda frame: denoised.append(frame) or frame)
+    done = work.run("evaluate", "@ball.ply", *SYNTHETIC, "--denoise", "--device", "cpu")
+    assert done.status == 0 and len(denoised) == 4, done.err
+    assert all(frame.albedo is not None for frame in denoised)
+    work.run("evaluate", "@ball.ply", *SYNTHETIC, "--device", "cpu")
+    assert len(denoised) == 4
+
+
+def test_missing_denoiser_is_reported_before_anything_is_trained(
+    work: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The line names the package extra to install."""
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
+    done = work.run("evaluate", *SYNTHETIC, "--denoise", "-o", "@trained")
+    assert done.status == 2 and "pip install 'lumisplat[denoise]'" in done.err
+    assert not work.path("trained").exists()
 
 
 def test_without_a_capture_one_is_trained_on_the_images_of_the_set(

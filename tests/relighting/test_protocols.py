@@ -28,10 +28,12 @@ def make(benchmark: Benchmark, folder: Path, ball: ls.Gaussians) -> Made:
     return made, None if benchmark is Benchmark.NERF_SYNTHETIC else folder / "lights"
 
 
-def score(benchmark: Benchmark, made: Made, ball: ls.Gaussians, samples: int = 4) -> PublishedFigures:
+def score(
+    benchmark: Benchmark, made: Made, ball: ls.Gaussians, samples: int = 4, *, denoise: bool = False
+) -> PublishedFigures:
     """Evaluates a capture on the CPU."""
     config = replace(RELIT, samples=samples)
-    return evaluate_published(ball, made[0], benchmark, lights=made[1], config=config, device="cpu")
+    return evaluate_published(ball, made[0], benchmark, lights=made[1], config=config, denoise=denoise, device="cpu")
 
 
 @pytest.fixture(scope="module")
@@ -164,3 +166,13 @@ def test_folders_of_another_layout_are_refused(tmp_path: Path, ball: ls.Gaussian
         score(Benchmark.TENSOIR, (tmp_path, None), ball)
     with pytest.raises(ls.FormatError, match=r"is evaluated without other light: NeRF-Synthetic has no relit images"):
         score(Benchmark.NERF_SYNTHETIC, (tmp_path, tmp_path), ball)
+
+
+def test_denoising_lowers_the_error_of_relit_images(sets: Callable[[Benchmark], Made], ball: ls.Gaussians) -> None:
+    """One sample per pixel, of materials that are the truth: all error is noise."""
+    pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
+    made = sets(Benchmark.TENSOIR)
+    noisy, smooth = (score(Benchmark.TENSOIR, made, ball, 1, denoise=denoise).figures for denoise in (False, True))
+    print(noisy["relit_psnr"], smooth["relit_psnr"])
+    assert smooth["relit_psnr"] > noisy["relit_psnr"] + 2.0
+    assert smooth["albedo_psnr"] == noisy["albedo_psnr"]

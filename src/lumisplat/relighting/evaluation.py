@@ -194,6 +194,7 @@ def evaluate_materials(
     environment: npt.ArrayLike | None = None,
     config: RenderConfig | None = None,
     samples: int | None = None,
+    denoise: bool = False,
     device: str = "auto",
     progress: Progress | None = None,
 ) -> MaterialEvaluation:
@@ -216,6 +217,7 @@ def evaluate_materials(
             without a footprint, as for antialiased captures, are jittered.
         samples: Samples per pixel of relit images. None: the number in ``config``, or 64 if ``config`` sets none, so
             that noise is a small part of the error (docs/guide/materials.md#noise).
+        denoise: True denoises relit images, as `Frame.denoised` does.
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
         progress: Called with a label of the stage and the fraction done, 0..1.
 
@@ -223,20 +225,23 @@ def evaluate_materials(
         ConfigError: ``config`` is of another type.
         DeviceError: There is no such device.
         FormatError: The folder is no such data set, or one of its files is missing or damaged; the message names it.
+        MissingExtraError: ``denoise`` is set, and the denoiser is not installed.
         SceneError: ``gaussians`` or ``environment`` are of another type.
     """
     if config is not None:
         check_kind("config", config, RenderConfig)
     if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SceneError(f"gaussians is {type(gaussians).__name__}, expected Gaussians")
+    if denoise:
+        Frame.check_denoiser()
     found_environment = None if environment is None else _panorama(environment)
     truth, report = RelightableSet.open(folder), progress or no_progress
     given = with_albedo(gaussians)
     compared = list(_compared_views(truth, given, device, report))
     scale = albedo_scale(compared)
     default = RenderConfig(pipeline=Pipeline.PATH if truth.has_lights else Pipeline.HYBRID)
-    renderer = create_renderer(relighting_config(config or default, samples, gaussians), device)
-    relit = _relit(truth, given, scale, renderer, report)
+    renderer = create_renderer(relighting_config(config or default, samples, gaussians, denoise=denoise), device)
+    relit = _relit(truth, given, scale, renderer, report, denoise=denoise)
     compared = [replace(view, relit=pictures) for view, pictures in zip(compared, relit, strict=True)]
     views, problems = zip(*(measured(view, scale) for view in compared), strict=True)
     light_psnr, environment_remarks = _environment_figure(found_environment, truth)
@@ -263,8 +268,12 @@ def evaluate_materials(
     )
 
 
-def relighting_config(settings: RenderConfig, samples: int | None, gaussians: Gaussians) -> RenderConfig:
-    """Returns the settings of relit images: ``settings`` with samples, and without a background."""
+def relighting_config(
+    settings: RenderConfig, samples: int | None, gaussians: Gaussians, *, denoise: bool
+) -> RenderConfig:
+    """Returns the settings of relit images: ``settings`` with samples, with an albedo if ``denoise``, no background."""
+    if denoise:
+        settings = replace(settings, aovs=(*settings.aovs, "albedo"))
     if samples is None and settings.time_limit is None and settings.noise is None:
         samples = settings.samples or RELIT_SAMPLES
     # Rasterisation, and rays with an antialiasing footprint, render Gaussians as trained only at pixel centres.
@@ -310,7 +319,7 @@ def _compared_views(
 
 
 def _relit(
-    truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress
+    truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress, *, denoise: bool
 ) -> list[dict[str, Pair]]:
     """Renders the capture under each unseen light; returns per view the (render, ground truth) pairs by light name."""
     pictures: list[dict[str, Pair]] = [{} for _ in truth.views]
@@ -319,7 +328,7 @@ def _relit(
         for index, view in enumerate(truth.views):
             report("relighting", (number + index / len(truth.views)) / len(truth.unseen))
             wanted = truth.relit(name, view)
-            pictures[index][name] = over_black(renderer, scene, view.camera), wanted
+            pictures[index][name] = over_black(renderer, scene, view.camera, denoise=denoise), wanted
     report("relighting", 1.0)
     return pictures
 
@@ -610,7 +619,8 @@ def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[fl
     return Scene(splats=(SplatInstance(scaled, material=MaterialPbr(specular=specular)),), lights=lights)
 
 
-def over_black(renderer: Renderer, scene: Scene, camera: Camera) -> FloatArray:
+def over_black(renderer: Renderer, scene: Scene, camera: Camera, *, denoise: bool = False) -> FloatArray:
     """Renders sRGB colours times alpha, shape (H, W, 3): blended over black, like the images of the data set."""
-    pixels = renderer.render(scene, camera).pixels_srgb()
+    frame = renderer.render(scene, camera)
+    pixels = (frame.denoised() if denoise else frame).pixels_srgb()
     return pixels[..., :3] * pixels[..., 3:]

@@ -17,6 +17,7 @@ from scipy.ndimage import minimum_filter
 
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.errors import FormatError, MissingExtraError, SceneError
+from lumisplat.frame.frame import Frame
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.images.radiance import LINEAR, read_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
@@ -104,6 +105,7 @@ def evaluate_published(
     lights: PathLike | None = None,
     config: RenderConfig | None = None,
     samples: int | None = None,
+    denoise: bool = False,
     device: str = "auto",
     progress: Progress | None = None,
 ) -> PublishedFigures:
@@ -118,16 +120,20 @@ def evaluate_published(
             default beside ``blender_HDR``. None: nothing is relit in the others.
         config: Settings of relit renders; None: ``Pipeline.PATH``, with bounces.
         samples: Samples per pixel of relit renders; None: 64, or those of ``config``.
+        denoise: True denoises relit renders, as `Frame.denoised` does.
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
         progress: Called with a label of the stage and the fraction done, 0..1.
 
     Raises:
         DeviceError: There is no such device.
         FormatError: A file is missing or damaged; the message names it.
+        MissingExtraError: ``denoise`` is set, and the denoiser is not installed.
         SceneError: ``gaussians`` are of another type.
     """
     if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SceneError(f"gaussians is {type(gaussians).__name__}, expected Gaussians")
+    if denoise:
+        Frame.check_denoiser()
     rules, report = _RULES[benchmark], progress or no_progress
     found = rules.open(Path(folder), None if lights is None else Path(lights))
     given = with_albedo(gaussians)
@@ -144,11 +150,13 @@ def evaluate_published(
     figures = _means(rows)
     under: dict[str, list[Figures]] = {}
     if found.relit:
-        settings = relighting_config(config or RenderConfig(pipeline=Pipeline.PATH), samples, gaussians)
+        settings = config or RenderConfig(pipeline=Pipeline.PATH)
+        settings = relighting_config(settings, samples, gaussians, denoise=denoise)
         renderer = create_renderer(settings, device)
         for index, view in enumerate(found.relit):
             report("relighting", index / len(found.relit))
             frame = renderer.render(relit_scene(given, (view.lights(),), scale, 1.0), _sized(view.camera, rules.size))
+            frame = frame.denoised() if denoise else frame
             seen = _Truth.of(view, rules.size), frame.straight(), frame.alpha[..., None]
             under.setdefault(view.light, []).append(rules.compare_relit(*seen, remarks))
     elif rules.compare_relit is not _nothing:

@@ -71,6 +71,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
     """With --materials: read the estimated environment from this .exr or .hdr, else NAME.environment.exr."""
     samples: Annotated[int | None, setting("N", "64")] = None
     """With --materials or --protocol: average N samples per pixel in relit images."""
+    denoise: Flag = False
+    """With --materials or --protocol: denoise relit images; needs pip install 'lumisplat[denoise]'."""
 
     protocol: Annotated[
         Literal["tensoir", "synthetic4relight", "orb", "nerf-synthetic"] | None,
@@ -82,6 +84,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
     def run(self) -> None:
         """Renders and compares, prints a table, and writes a report if asked."""
+        if self.denoise:
+            ls.Frame.check_denoiser()
         if self.protocol is not None:
             self._compare_published(ls.inverse.Benchmark(self.protocol))
             return
@@ -97,9 +101,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
     def _compare_views(self, scene_files: Sequence[Path], folder: Path) -> None:
         """Renders and compares the held-out views, prints a table, and writes a report if asked."""
-        if self.environment or self.samples is not None or self.pipeline in ("hybrid", "path"):
+        if self.environment or self.samples is not None or self.denoise or self.pipeline in ("hybrid", "path"):
             raise ls.ConfigError(
-                "--environment, --samples and the pipelines hybrid and path need --materials or --protocol"
+                "--environment, --samples, --denoise and the pipelines hybrid and path need --materials or --protocol"
             )
         config = scene_settings(scene_file(scene_files))
         if self.background is not None:
@@ -166,6 +170,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
                 environment=light,
                 config=config,
                 samples=self.samples,
+                denoise=self.denoise,
                 device=self.device,
                 progress=report,
             )
@@ -213,6 +218,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
                 lights=self.lights,
                 config=config,
                 samples=self.samples,
+                denoise=self.denoise,
                 device=self.device,
                 progress=report,
             )
