@@ -12,6 +12,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.inverse import Benchmark, PublishedFigures, evaluate_published
+from lumisplat.relighting import protocols
 from support.files.published_files import RELIT, write_orb, write_synthetic4relight, write_tensoir
 from support.files.relightable_files import painted_ball
 
@@ -173,6 +174,20 @@ def test_denoising_lowers_the_error_of_relit_images(sets: Callable[[Benchmark], 
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     made = sets(Benchmark.TENSOIR)
     noisy, smooth = (score(Benchmark.TENSOIR, made, ball, 1, denoise=denoise).figures for denoise in (False, True))
-    print(noisy["relit_psnr"], smooth["relit_psnr"])
     assert smooth["relit_psnr"] > noisy["relit_psnr"] + 2.0
     assert smooth["albedo_psnr"] == noisy["albedo_psnr"]
+
+
+def test_relit_images_are_paths_that_blend_albedo_as_training_images_by_default(
+    sets: Callable[[Benchmark], Made], ball: ls.Gaussians, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Particle paths would show each Gaussian's own albedo, which no image was trained for (decision 0124)."""
+    used: list[ls.RenderConfig] = []
+    create = protocols.create_renderer
+    monkeypatch.setattr(
+        protocols, "create_renderer", lambda config, device: used.append(config) or create(config, device)
+    )
+    folder, lights = sets(Benchmark.SYNTHETIC4RELIGHT)
+    evaluate_published(ball, folder, Benchmark.SYNTHETIC4RELIGHT, lights=lights, samples=1, device="cpu")
+    (config,) = used
+    assert config.pipeline is ls.Pipeline.PATH and config.path.primary is ls.config.PathPrimary.ISO

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import PathConfig, PathPrimary, Pipeline, RenderConfig
 from lumisplat.errors import FormatError, MissingExtraError, SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.io.files.source import PathLike
@@ -118,7 +118,8 @@ def evaluate_published(
         benchmark: The benchmark to which it belongs.
         lights: Folder of the environments in which objects are relit; for Stanford-ORB the folder ``ground_truth``, by
             default beside ``blender_HDR``. None: nothing is relit in the others.
-        config: Settings of relit renders; None: ``Pipeline.PATH``, with bounces.
+        config: Settings of relit renders; None: ``Pipeline.PATH`` with ``PathPrimary.ISO``, which blends albedo along a
+            ray as the training images were blended.
         samples: Samples per pixel of relit renders; None: 64, or those of ``config``.
         denoise: True denoises relit renders, as `Frame.denoised` does.
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
@@ -150,7 +151,7 @@ def evaluate_published(
     figures = _means(rows)
     under: dict[str, list[Figures]] = {}
     if found.relit:
-        settings = config or RenderConfig(pipeline=Pipeline.PATH)
+        settings = config or RenderConfig(pipeline=Pipeline.PATH, path=PathConfig(primary=PathPrimary.ISO))
         settings = relighting_config(settings, samples, gaussians, denoise=denoise)
         renderer = create_renderer(settings, device)
         for index, view in enumerate(found.relit):

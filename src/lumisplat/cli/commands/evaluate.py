@@ -208,7 +208,8 @@ class Evaluate(LoadingCommand, DeviceCommand):
         else:
             assert self.output is not None
             file, seconds = self._trained(folder, benchmark, self.output)
-        config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
+        is_default = self.pipeline in (None, "path")
+        config = None if is_default else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
         with progress_bars() as report:
             self.quiet_warp()
             result = ls.inverse.evaluate_published(
