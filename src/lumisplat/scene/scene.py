@@ -64,7 +64,7 @@ class SplatInstance(PlacedInstance):
     """Make the capture a shadow catcher: in lit frames it shows its captured colours, darkened where other objects
     block a light. Lights do not brighten the capture, and its own Gaussians do not shadow it. Its ambient light sets
     how dark shadows are: the ``ambient`` of a `MaterialSimple`, 0.5 with a `MaterialPbr`; without a material 0.5, or 0
-    in scenes with an environment (itself ambient light) or without lights."""
+    in scenes with an environment (itself ambient light) and, except in real time, in scenes without lights."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")

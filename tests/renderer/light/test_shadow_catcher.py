@@ -81,6 +81,13 @@ def test_environment_light_of_a_scene_replaces_the_default_ambient_on_shadow_cat
     np.testing.assert_allclose(frame.shadow_ratio.mean(axis=(0, 1)), expected, rtol=0.05)
 
 
+def test_real_time_objects_block_ambient_light_on_a_shadow_catcher_that_captures_alone_light() -> None:
+    """Below a disc the ratio is the visible fraction of directions, though the scene has no light."""
+    frame = rendered(ls.Scene([floor(0.3)], [disc()]), below(), ls.Pipeline.REALTIME)
+    assert frame.shadow_ratio is not None
+    np.testing.assert_allclose(frame.shadow_ratio.mean(), 1.0 - SHARE, rtol=0.02)
+
+
 @PIPELINES
 def test_shadow_catcher_keeps_captured_light_that_scene_lights_cannot_explain(pipeline: ls.Pipeline) -> None:
     """A floor reflects no more than it receives, so that light missing from the scene must exist, and remains."""

@@ -403,9 +403,11 @@ def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> 
     Real-time frames: 2. Frames that have one sample by default: 16, because one random ray would be noisy. Others: 1.
     """
     catchers = [instance for instance in scene.splats if instance.shadow_catcher]
-    if not (adds_to_captures(scene) and any(any(catcher_ambient(one, scene)) for one in catchers)):
+    is_sequence = config.pipeline.is_sequence
+    ambient = [catcher_ambient(one, scene, is_sequence=is_sequence) for one in catchers]
+    if not (adds_to_captures(scene) and any(map(any, ambient))):
         return 0
-    if config.pipeline.is_sequence:
+    if is_sequence:
         return AMBIENT_RAYS_OF_FRAMES
     return SAMPLES_OF_RANDOM_LIGHT if config.samples is None and samples_wanted == 1 else 1
 

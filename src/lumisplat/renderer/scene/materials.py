@@ -51,16 +51,17 @@ def emits_capture_only(instance: SplatInstance) -> bool:
     return material.emissive == (1.0, 1.0, 1.0) and not any(material.ambient + material.diffuse + material.specular)
 
 
-def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
+def catcher_ambient(instance: SplatInstance, scene: Scene, *, is_sequence: bool) -> Color:
     """Returns the ambient light on a shadow catcher, by channel: the catcher's reflected radiance over its albedo.
 
-    A catcher without a material gets a default if the scene has lights but no environment, because an environment is
-    already ambient light. In scenes without lights the result is 0: paths light catchers by captures alone.
+    A catcher without a material gets a default if the scene has no environment, which would be ambient light already.
+    In scenes without lights only real-time frames (``is_sequence``) have it: paths find the light of captures on
+    catchers by rays, and in the other pipelines nothing casts shadows there.
     """
     if instance.material is not None:
         return instance.material.ambient if isinstance(instance.material, MaterialSimple) else _GUESSED
     lights = [light for light in scene.lights if light.enabled]
-    if not lights or any(isinstance(light, LightEnvironment) for light in lights):
+    if any(isinstance(light, LightEnvironment) for light in lights) or not (lights or is_sequence):
         return (0.0, 0.0, 0.0)
     return _GUESSED
 
@@ -125,7 +126,14 @@ def tint_of(instance: SplatInstance) -> Color:
     return material.values_on(instance.gaussians).base_color
 
 
-def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, compensates: bool = False) -> np.ndarray:
+def material_table(
+    scene: Scene,
+    texture_first: TextureFirst,
+    *,
+    is_lit: bool,
+    compensates: bool = False,
+    is_sequence: bool = False,
+) -> np.ndarray:
     """Returns one row of MaterialData per instance: splats first, then meshes.
 
     Args:
@@ -133,6 +141,7 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, c
         texture_first: Returns the index of a texture's first texel.
         is_lit: Whether the frame is lit; if not, all splats only emit their captured colours.
         compensates: Whether to add the energy that rough metals lose if only single scattering is computed.
+        is_sequence: Whether the frame is one of `Pipeline.REALTIME`.
     """
     table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=table_dtype(MaterialData))
     table["compensates"] = compensates
@@ -147,7 +156,7 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, c
         if splats.shadow_catcher:
             row["shadow_catcher"] = 1
             row["emissive"] = 1.0
-            row["ambient"] = catcher_ambient(splats, scene)
+            row["ambient"] = catcher_ambient(splats, scene, is_sequence=is_sequence)
     for row, meshes in zip(rows[len(scene.splats) :], scene.meshes, strict=True):
         _fill(row, meshes.mesh.material)
         _fill_textures(row, meshes.mesh, texture_first)

@@ -99,8 +99,13 @@ class ShadingTables:
             self._attributes = upload_structs(rows, SplatAttributes, self._device)
             self._version = version
         row.attributes = self._attributes
-        compensates = self._config.energy_compensation
-        materials = material_table(scene, texture_first, is_lit=plan.is_lit, compensates=compensates)
+        materials = material_table(
+            scene,
+            texture_first,
+            is_lit=plan.is_lit,
+            compensates=self._config.energy_compensation,
+            is_sequence=self._config.pipeline.is_sequence,
+        )
         row.materials = self._buffers.upload("shading.materials", MaterialData, materials)
         row.settings = self._buffers.upload("shading.settings", ShadingSettings, self._settings(scene, plan))
         row.lights = self._table.lights
