@@ -31,6 +31,8 @@ from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.relighting.delight import CONFIDENT
 from lumisplat.relighting.irradiance import median_outgoing
+from support.scenes.light_scenes import matte
+from support.scenes.path_rooms import behind, ceiling, ceiling_light, faceted_ball, floor_and_walls, turned_box
 
 OUT = Path("/tmp/delighted")
 MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)
@@ -83,25 +85,24 @@ def painted(gaussians: ls.Gaussians, albedo: Doubles) -> ls.Gaussians:
     )
 
 
-def room(device: str) -> Case:
-    """Returns a closed room with a light: red and green walls, a ball and a box, all with a pattern."""
-    import sys
-
-    sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests")]
-    from support.scenes.light_scenes import matte
-    from support.scenes.path_rooms import behind, ceiling, ceiling_light, faceted_ball, floor_and_walls, turned_box
-
-    meshes = [*floor_and_walls(), *ceiling(), behind(), faceted_ball(0.0), turned_box(matte(0.2, 0.5, 0.8))]
+def patterned(meshes: list[ls.Mesh], count: int) -> ls.Gaussians:
+    """Returns about ``count`` Gaussians on meshes, with their albedo in a pattern of light and dark cubes."""
     areas = np.array([_area(mesh) for mesh in meshes])
-    counts = np.maximum(12_000 * areas / areas.sum(), 50).astype(int)
+    counts = np.maximum(count * areas / areas.sum(), 50).astype(int)
     sets = [ls.gaussians_from_mesh(mesh, int(count)) for mesh, count in zip(meshes, counts, strict=True)]
     plain = ls.merge(sets)
     albedo = np.concatenate([one.albedo for one in sets if one.albedo is not None]).astype(np.float64)
     albedo[np.floor(plain.means / 0.35).astype(int).sum(axis=1) % 2 == 1] *= 0.55
-    truth = painted(plain, albedo)
+    return painted(plain, albedo)
+
+
+def room(device: str) -> Case:
+    """Returns a closed room with a light: red and green walls, a ball and a box, all with a pattern."""
+    meshes = [*floor_and_walls(), *ceiling(), behind(), faceted_ball(0.0), turned_box(matte(0.2, 0.5, 0.8))]
+    truth = patterned(meshes, 12_000)
     lamps = ls.gaussians_from_mesh(ceiling_light(), 400)
     lit = ls.Scene([ls.SplatInstance(truth, material=MATT)], [ceiling_light()])
-    captured = ls.merge([_baked(lit, device), colored(lamps, np.ones((lamps.count, 3)))])
+    captured = ls.merge([baked(lit, device), colored(lamps, np.ones((lamps.count, 3)))])
     turns = 2.0 * np.pi * np.arange(8) / 8
     cameras = [
         ls.Camera.look_at(
@@ -119,7 +120,7 @@ def room(device: str) -> Case:
 def spot(sky: Doubles, device: str) -> Case:
     """Returns a matt spotted cow on a chequered floor under an environment."""
     truth, on_floor, cameras = spot_and_floor(7000)
-    captured = _baked(_under(sky, truth, MATT), device)
+    captured = baked(_under(sky, truth, MATT), device)
     return Case(truth, captured, cameras, on_floor)
 
 
@@ -129,7 +130,7 @@ def glossy_spot(sky: Doubles, device: str) -> Case:
     turn = np.arctan2(truth.means[:, 2], truth.means[:, 0]) / np.pi + 1.0
     truth = replace(truth, roughness=np.array(GLOSSY, np.float32)[np.floor(2.0 * turn).astype(int) % 4])
     material = ls.MaterialPbr()
-    captured = _baked(_under(sky, truth, material), device, replace(AS_TRAINED, samples=32), 3)
+    captured = baked(_under(sky, truth, material), device, replace(AS_TRAINED, samples=32), 3)
     return Case(truth, captured, cameras, on_floor, material)
 
 
@@ -293,7 +294,7 @@ def psnr(a: Doubles, b: Doubles) -> float:
     return round(float(-10.0 * np.log10(np.mean((np.clip(a, 0.0, 1.0) - b) ** 2))), 2)
 
 
-def _baked(scene: ls.Scene, device: str, config: ls.RenderConfig = AS_TRAINED, degree: int = 0) -> ls.Gaussians:
+def baked(scene: ls.Scene, device: str, config: ls.RenderConfig = AS_TRAINED, degree: int = 0) -> ls.Gaussians:
     """Returns a capture of the scene's Gaussians: baked colours without normals."""
     return replace(ls.bake(scene, config, degree=degree, device=device).splats[0].gaussians, normals=None)
 
