@@ -197,7 +197,8 @@ class _Baker:
         joined = np.concatenate(parts)
         if instance.shadow_catcher:
             return replace(scale_light_of(instance, joined), material=None, shadow_catcher=False)
-        baked = replace(instance.gaussians, sh=read_only_view(joined), albedo=None, roughness=None, metallic=None)
+        bare = dict.fromkeys(("albedo", "roughness", "metallic", "albedo_error", "roughness_error"))
+        baked = replace(instance.gaussians, sh=read_only_view(joined), **bare)
         return replace(instance, gaussians=baked, material=None, sh_degree=SH_DEGREE_MAX)
 
     def joint_fitted(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:

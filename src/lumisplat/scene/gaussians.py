@@ -36,7 +36,7 @@ SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 _log = logging.getLogger("lumisplat")
 
 _REQUIRED = ("means", "rotations_wxyz", "scales", "opacities", "sh")
-_OPTIONAL = ("normals", "albedo", "roughness", "metallic", "incident")
+_OPTIONAL = ("normals", "albedo", "roughness", "metallic", "albedo_error", "roughness_error", "incident")
 
 
 @frozen(weakref_slot=True)
@@ -44,8 +44,8 @@ class Gaussians:
     """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
 
     Arrays become read-only float32; an array that already is read-only float32 is not copied. Arrays must be finite and
-    of matching shapes, with at least one Gaussian; scales must be positive, and opacities, albedo, roughness and
-    metallic in 0..1. Quaternions and normals may have any length above 0, and are normalised.
+    of matching shapes, with at least one Gaussian; scales must be positive; opacities, albedo, roughness and metallic
+    must be in 0..1, errors at least 0. Quaternions and normals may have any length above 0, and are normalised.
 
     Raises:
         SceneError: A value breaks one of these rules; the message names the array and counts its invalid values.
@@ -72,6 +72,12 @@ class Gaussians:
     """Perceptual roughness, 0..1, shape (N,); None: lighting uses the roughness of the `MaterialPbr`."""
     metallic: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Metalness, 0..1, shape (N,); None: lighting uses the metalness of the `MaterialPbr`."""
+    albedo_error: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
+    """Half width of the 90 % interval of log albedo, at least 0, shape (N,): with a probability of 0.9, the true albedo
+    lies between ``albedo * exp(-albedo_error)`` and ``albedo * exp(albedo_error)``, up to one factor per channel that
+    the whole capture shares. None: unknown."""
+    roughness_error: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
+    """Half width of the 90 % interval of ``roughness``, at least 0, shape (N,); None: unknown."""
     antialiased: bool = field(default=False, kw_only=True)
     """True if the capture was trained with Mip-Splatting's opacity compensation. Rendering then applies it, too, unless
     the setting ``antialiasing`` of the rasteriser or ray tracer is not ``AUTO``."""
@@ -111,6 +117,8 @@ class Gaussians:
             albedo=(self.albedo, "N 3"),
             roughness=(self.roughness, "N"),
             metallic=(self.metallic, "N"),
+            albedo_error=(self.albedo_error, "N"),
+            roughness_error=(self.roughness_error, "N"),
             incident=(self.incident, "N J 3"),
         )
         if self.count == 0:
@@ -123,6 +131,10 @@ class Gaussians:
             values = getattr(self, name)
             if values is not None:
                 refuse_outside_unit(name, values)
+        for name in ("albedo_error", "roughness_error"):
+            values = getattr(self, name)
+            if values is not None:
+                refuse_rows(name, "negative", values < 0.0)
         object.__setattr__(self, "rotations_wxyz", normalise_rows("rotations_wxyz", self.rotations_wxyz))
         if self.normals is not None:
             object.__setattr__(self, "normals", normalise_rows("normals", self.normals))

@@ -66,7 +66,7 @@ def test_gltf_round_trip_keeps_every_bit_of_a_capture(tmp_path: Path, degree: in
     rng = np.random.default_rng(5)
     extras = {"normals": rng.normal(size=(40, 3)), "albedo": rng.random((40, 3)), "metallic": rng.random(40)}
     if degree % 2:
-        extras = {"roughness": rng.random(40)}
+        extras = {"roughness": rng.random(40), "albedo_error": 2.0 * rng.random(40), "roughness_error": rng.random(40)}
     settings = {"antialiased": degree == 2, "comments": ("made by hand",), "kernel_degree": 5 if degree == 3 else 2}
     given = replace(capture(40, degree), **extras, **settings)
     ls.save(tmp_path / f"a.{extension}", given)

@@ -173,11 +173,12 @@ def test_ply_round_trip_preserves_the_order_of_comments(tmp_path: Path, name: st
 
 
 def test_ply_round_trip_preserves_normals_and_materials(tmp_path: Path) -> None:
-    """The materials are albedo, roughness and metallic."""
+    """The materials are albedo, roughness and metallic, and the errors of the first two."""
     rng = np.random.default_rng(3)
     normals = rng.normal(size=(30, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     extra = {"normals": normals, "albedo": rng.random((30, 3)), "roughness": rng.random(30), "metallic": rng.random(30)}
+    extra |= {"albedo_error": 2.0 * rng.random(30), "roughness_error": rng.random(30)}
     ls.save(tmp_path / "relit.ply", capture(30, **extra))
     loaded = load_gaussians(tmp_path / "relit.ply")
     for field, values in extra.items():

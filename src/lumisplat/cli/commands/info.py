@@ -41,6 +41,9 @@ if TYPE_CHECKING:
     Array = npt.NDArray[np.floating[Any]]
 
 
+_EXTRAS = ("normals", "albedo", "roughness", "metallic", "albedo_error", "roughness_error", "incident")
+"""Fields of `lumisplat.Gaussians` that only some captures have."""
+
 _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
 
@@ -257,7 +260,7 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
         rows.append(("up", up_name(gaussians.up)))
     if (view := gaussians.first_view) is not None:
         rows.append(("first view", f"from {_point(view.eye)}, {math.degrees(view.fov_y):.3g} degrees high"))
-    extras = [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays]
+    extras = [name for name in _EXTRAS if name in arrays]
     if extras:
         rows.append(("also has", ", ".join(extras)))
     rows += [("comment", comment) for comment in gaussians.comments]
@@ -531,7 +534,7 @@ def capture_facts(gaussians: ls.Gaussians) -> Facts:
         "kernel_degree": gaussians.kernel_degree,
         "up": _plain(gaussians.up),
         "first_view": None if gaussians.first_view is None else _plain(gaussians.first_view.eye.tolist()),
-        "also_has": [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays],
+        "also_has": [name for name in _EXTRAS if name in arrays],
         "comments": list(gaussians.comments),
     }
 

@@ -47,8 +47,10 @@ _MATERIALS = {
     "albedo": ("_ALBEDO", "VEC3"),
     "roughness": ("_ROUGHNESS", "SCALAR"),
     "metallic": ("_METALLIC", "SCALAR"),
+    "albedo_error": ("_ALBEDO_ERROR", "SCALAR"),
+    "roughness_error": ("_ROUGHNESS_ERROR", "SCALAR"),
 }
-"""Custom glTF attribute and accessor type of normals and each material field, as Lumisplat writes them.
+"""Custom glTF attribute and accessor type of normals, materials and their errors, as Lumisplat writes them.
 
 Attributes with these names in files of other programs are ignored.
 """
@@ -390,6 +392,8 @@ def add_gaussians(document: GltfDocument, gaussians: Gaussians, name: str) -> in
             albedo=gaussians.albedo,
             roughness=gaussians.roughness,
             metallic=gaussians.metallic,
+            albedo_error=gaussians.albedo_error,
+            roughness_error=gaussians.roughness_error,
             scales_are_logarithms=False,
             opacities_are_logits=False,
         ),

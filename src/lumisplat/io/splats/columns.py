@@ -40,6 +40,9 @@ Floats = npt.NDArray[np.floating]
 FIELDS = ("normals", "albedo", "roughness", "metallic")
 """Fields of `Gaussians` whose PLY columns differ from trainer to trainer: normals and materials."""
 
+ERRORS = ("albedo_error", "roughness_error")
+"""Fields of `Gaussians` that hold intervals of materials. Only Lumisplat writes them, under these names."""
+
 LINEAR_COMMENT = "lumisplat materials linear"
 """Lumisplat's PLY header comment: albedo is linear Rec.709, and all materials are within 0..1."""
 
@@ -165,6 +168,8 @@ class SplatColumns:
     albedo: Floats | None = None
     roughness: Floats | None = None
     metallic: Floats | None = None
+    albedo_error: Floats | None = None
+    roughness_error: Floats | None = None
     incident: Floats | None = None
     """J SH coefficients of incident light per Gaussian, DC first, shape (N, J, 3); None if the file has none."""
     material_columns: MaterialColumns = LINEAR
@@ -200,14 +205,15 @@ PROPERTY_NAMES = {
     "rotations_wxyz": ("rot_0", "rot_1", "rot_2", "rot_3"),
     "log_scales": ("scale_0", "scale_1", "scale_2"),
     "opacities": ("opacity",),
+    **{name: (name,) for name in ERRORS},
 }
-"""PLY properties of the fields that all captures have, except SH; see `sh_names`."""
+"""PLY properties of the fields that all trainers name alike, except SH; see `sh_names`."""
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
 """Fields that every capture has."""
 
-OPTIONAL = (*FIELDS, "incident")
-"""Fields that only some captures have: `FIELDS` and incident light."""
+OPTIONAL = (*FIELDS, *ERRORS, "incident")
+"""Fields that only some captures have: `FIELDS`, `ERRORS` and incident light."""
 
 _STEPS = 4
 """Number of float32 neighbours, above and below an encoded value, that are tried in search of an exactly decoding
@@ -447,6 +453,8 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
         albedo=gaussians.albedo,
         roughness=gaussians.roughness,
         metallic=gaussians.metallic,
+        albedo_error=gaussians.albedo_error,
+        roughness_error=gaussians.roughness_error,
         incident=gaussians.incident,
         antialiased=gaussians.antialiased,
         kernel_degree=gaussians.kernel_degree,

@@ -22,6 +22,7 @@ from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.ply import PlyElement, PlyHeader, PlyRows, ply_header_bytes, read_ply_rows
 from lumisplat.io.splats.columns import (
+    ERRORS,
     FIELDS,
     LINEAR,
     LINEAR_COMMENT,
@@ -274,7 +275,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
     materials = material_columns_of(vertex.names, header.comments)
 
     def optional(field: str, *shape: int) -> FloatArray | None:
-        names = materials.properties.get(field)
+        names = PROPERTY_NAMES.get(field) or materials.properties.get(field)
         return empty(*shape) if names and set(names) <= set(vertex.names) else None
 
     incident_counts = [
@@ -291,6 +292,8 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
         albedo=optional("albedo", 3),
         roughness=optional("roughness"),
         metallic=optional("metallic"),
+        albedo_error=optional("albedo_error"),
+        roughness_error=optional("roughness_error"),
         incident=empty(max(incident_counts), 3) if incident and incident_counts else None,
         material_columns=materials,
         antialiased=antialiased_from_comments(header.comments),
@@ -338,7 +341,7 @@ def _drop_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: Spla
             reasons.append(f"{outside:,} of {values.size:,} values of {field} are outside 0..1")
     if not reasons:
         return
-    for field in fields:
+    for field in (*fields, *ERRORS):
         setattr(columns, field, None)
     _log.warning(
         "%s: %s left out: an unknown trainer may have stored them before their activation (%s); if they are linear and "
@@ -359,7 +362,7 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
     columns = columns_from_gaussians(gaussians)
     values = dict(_column_views(columns))
     comments = _comments_as_stored(gaussians, columns)
-    materials = [name for field in FIELDS[1:] for name in LINEAR.properties[field] if name in values]
+    materials = [name for field in (*FIELDS[1:], *ERRORS) for name in columns.property_names(field) if name in values]
     if materials and not has_linear_comment(comments):
         comments += (LINEAR_COMMENT,)
     incident_names = [] if columns.incident is None else _sh_names_in_file_order("incidents", columns.incident.shape[1])

@@ -21,9 +21,9 @@ _TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaus
 the name that Nuke 17.0 writes."""
 _KERNEL = "ParticleFieldKernel"
 _ELLIPSOID, _SURFLET = "ParticleFieldKernelGaussianEllipsoidAPI", "ParticleFieldKernelGaussianSurfletAPI"
-_PRIMVARS = {"normals": 3, "albedo": 3, "roughness": 1, "metallic": 1}
-"""Number of values per Gaussian in the primvars for normals and materials. A primvar has the name of its `Gaussians`
-field."""
+_PRIMVARS = {"normals": 3, "albedo": 3, "roughness": 1, "metallic": 1, "albedo_error": 1, "roughness_error": 1}
+"""Number of values per Gaussian in the primvars for normals, materials and their errors. A primvar has the name of its
+`Gaussians` field."""
 _COLOR_SPACE = "srgb_rec709_scene"
 """OpenUSD name of the colour space of captures. Other programs write srgb_rec709_display."""
 _LINEAR = ("lin_rec709", "lin_srgb", "lin_rec709_scene", "lin_rec709_display")

@@ -19,7 +19,7 @@ SAME_SHAPE_MAX = 0.05
 """Gaussians of two frames correspond, too, if the median change of their scales (logarithm) and opacity is at most
 this."""
 
-_INTERPOLATED = ("means", "opacities", "sh", "albedo", "roughness", "metallic")
+_INTERPOLATED = ("means", "opacities", "sh", "albedo", "roughness", "metallic", "albedo_error", "roughness_error")
 """Columns whose values are interpolated linearly."""
 
 _Floats = npt.NDArray[np.floating]
