@@ -8,8 +8,9 @@ Gaussians are composited in the order of their centres, as in trained captures. 
 the light is unknown, and in sRGB as ``evaluate --materials`` does (``albedo_srgb_db``). Frames under new light are
 compared in display values, after the same factor.
 ``shadow_left`` is the fraction of the baked light on the floor that remains in its albedo: the slope of log albedo by
-log light. ``roughness`` lists, for each true value, mean and root mean square error of the estimate on the floor and
-on the cow, and its confidence.
+log light. ``covered`` is the fraction of the true albedos within the 90 % intervals, of Gaussians with correct normals:
+of all, of those in light, and of those in less than half of the median light. ``roughness`` lists, for each true value,
+mean and root mean square error of the estimate on the floor and on the cow, and the median half width of its interval.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from bench.timing import parser
 from lumisplat.io.images.texture import write_png
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.relighting.delight import CONFIDENT
+from lumisplat.relighting.delight import ROUGHNESS_KNOWN
 from lumisplat.relighting.irradiance import median_outgoing
 from support.scenes.light_scenes import matte
 from support.scenes.path_rooms import behind, ceiling, ceiling_light, faceted_ball, floor_and_walls, turned_box
@@ -40,6 +41,8 @@ AS_TRAINED = ls.RenderConfig(pipeline=ls.Pipeline.PATH, trace=ls.TraceConfig(hit
 """Path tracer settings that composite Gaussians in the order of their centres, as in captures."""
 GLOSSY = (0.15, 0.3, 0.5, 0.8)
 """Roughness of each quadrant."""
+SHADOW = 0.5
+"""Ratio of a Gaussian's light to the median below which it counts as in shadow."""
 SH_CONSTANT = 0.28209479177387814
 WIDTH, HEIGHT = 160, 120
 
@@ -213,6 +216,7 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
         "facing_right": round(float(agree.mean()), 3),
         "cpu_seconds": round(seconds, 1),
     }
+    figures["covered"] = covered(found.gaussians, truth, albedo * factor, shade(shown, truth), agree)
     if case.floor is not None:
         left = shade(albedo, truth)[case.floor] @ shade(shown, truth)[case.floor]
         figures["shadow_left"] = round(float(left / np.sum(shade(shown, truth)[case.floor] ** 2)), 3)
@@ -224,26 +228,48 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
     figures["captured_relit_db"] = psnr(relit(case, shown * old_factor, turned, unknown, device), true_lit)
     if case.floor is not None and case.material is not MATT:
         figures["relit_db_all_0.8"] = psnr(relit(case, albedo * factor, turned, unknown, device), true_lit)
-        figures["roughness"] = roughness_figures(case, rough, found.roughness_confidence[:count], agree)
+        figures["roughness"] = roughness_figures(
+            case, rough, np.asarray(found.gaussians.roughness_error)[:count], agree
+        )
     return figures, rows_of(case, (shown, albedo * factor, truth), device)
 
 
-def roughness_figures(case: Case, found: FloatArray, roughness_confidence: FloatArray, agree: Flags) -> dict[str, Any]:
-    """Returns roughness errors of Gaussians with correct normals: all, confident ones, and by part and true value."""
+def covered(found: ls.Gaussians, truth: Doubles, albedo: Doubles, light: Doubles, agree: Flags) -> dict[str, float]:
+    """Returns the fractions of true albedos within their 90 % intervals, and the median interval as a factor.
+
+    Args:
+        found: Gaussians with errors; those of lights come last.
+        truth: True albedo of N Gaussians, shape (N, 3).
+        albedo: Estimated albedo after one factor per channel, shape (N, 3).
+        light: Log of the true light at the Gaussians, relative to the median, shape (N,).
+        agree: True for Gaussians with correct normals, shape (N,).
+    """
+    error, dark = np.asarray(found.albedo_error)[: len(truth), None], light < np.log(SHADOW)
+    inside = np.abs(np.log(truth / np.maximum(albedo, 1e-3))) <= error
+    parts = {"all": agree, "lit": agree & ~dark, "in shadow": agree & dark}
+    return {name: round(float(inside[rows].mean()), 3) for name, rows in parts.items() if rows.any()} | {
+        "within a factor of": round(float(np.exp(np.median(error[agree]))), 2)
+    }
+
+
+def roughness_figures(case: Case, found: FloatArray, error: FloatArray, agree: Flags) -> dict[str, Any]:
+    """Returns roughness errors of Gaussians with correct normals: all, known ones, and by part and true value."""
     true, on_floor = np.asarray(case.truth.roughness), np.zeros(len(found), bool)
     on_floor[case.floor] = True
 
     def rmse(rows: Flags) -> float:
         return round(float(np.sqrt(np.square(found - true)[rows].mean())), 3)
 
-    figures: dict[str, Any] = {"rmse": rmse(agree), "rmse_of_sure": rmse(agree & (roughness_confidence > CONFIDENT))}
+    known = error <= ROUGHNESS_KNOWN
+    figures: dict[str, Any] = {"rmse": rmse(agree), "rmse_of_known": rmse(agree & known)}
     figures["rmse_all_0.8"] = round(float(np.sqrt(np.square(0.8 - true)[agree].mean())), 3)
-    figures["sure"] = round(float((roughness_confidence > CONFIDENT).mean()), 3)
+    figures["known"] = round(float(known.mean()), 3)
+    figures["covered"] = round(float((np.abs(found - true) <= error)[agree].mean()), 3)
     for name, part in (("floor", on_floor), ("cow", ~on_floor)):
         for value in GLOSSY:
             rows = agree & part & np.isclose(true, value)
-            mean, sure = (round(float(values[rows].mean()), 2) for values in (found, roughness_confidence))
-            figures[f"{name} {value}"] = {"mean": mean, "rmse": rmse(rows), "sureness": sure}
+            mean, half = round(float(found[rows].mean()), 2), round(float(np.median(error[rows])), 2)
+            figures[f"{name} {value}"] = {"mean": mean, "rmse": rmse(rows), "error": half}
     return figures
 
 

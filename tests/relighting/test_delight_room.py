@@ -58,15 +58,15 @@ def test_delight_separates_the_albedo_of_a_room_from_its_light(box: CapturedBox,
     assert spread[0] < 0.5 * spread[1]
 
 
-def test_confidence_of_delight_in_an_albedo_is_the_observed_fraction_of_irradiance(
+def test_observed_light_of_delight_is_the_fraction_of_irradiance_that_the_capture_shows(
     box: CapturedBox, estimate: MaterialEstimate
 ) -> None:
-    """Confidence is low where the estimated emitter gives most light, and 1 where it does not shine."""
+    """The fraction is low where the estimated emitter gives most light, and 1 where it does not shine."""
     seen = 1.0 - box.direct.mean(axis=1) / box.irradiance.mean(axis=1)
     walls = ~box.is_emitter
-    assert np.corrcoef(estimate.confidence[walls], seen[walls])[0, 1] > 0.9
-    assert abs(float(estimate.confidence[walls].mean() - seen[walls].mean())) < 0.1
-    assert estimate.confidence[walls & (seen > 0.99)].min() > 0.9
+    assert np.corrcoef(estimate.observed[walls], seen[walls])[0, 1] > 0.9
+    assert abs(float(estimate.observed[walls].mean() - seen[walls].mean())) < 0.1
+    assert estimate.observed[walls & (seen > 0.99)].min() > 0.9
 
 
 def test_delight_flags_gaussians_brighter_than_albedo_1_would_be(box: CapturedBox, estimate: MaterialEstimate) -> None:

@@ -34,7 +34,8 @@ from lumisplat.relighting.albedo_fit import (
 from lumisplat.relighting.capture_measures import measure_surface, no_surface_message
 from lumisplat.relighting.incident import SIDE_DIRECTIONS, IncidentRays, Smoother, neighbours_of
 from lumisplat.relighting.irradiance import Irradiance, median_outgoing
-from lumisplat.relighting.roughness_fit import Lobes, Roughness, RoughnessFit, arriving_light
+from lumisplat.relighting.material_errors import AlbedoErrors, roughness_error
+from lumisplat.relighting.roughness_fit import ROUGHNESS_UNKNOWN, Lobes, RoughnessFit, arriving_light
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
@@ -76,8 +77,25 @@ MATT_LEAST = 0.2
 """Lower bound of the diffuse reflectance that is left when a Gaussian's specular reflection is subtracted, as a
 fraction of its total reflectance."""
 
-CONFIDENT = 0.8
-"""Confidence above which `MaterialEstimate.remarks` counts the roughness of a Gaussian as determined by highlights."""
+ROUGHNESS_KNOWN = 0.2
+"""Largest ``roughness_error`` at which `MaterialEstimate.remarks` counts the roughness of a Gaussian as known."""
+
+OPEN_ERRORS = AlbedoErrors(least=0.16, apart=1.07, dim=0.44)
+"""Sources of error of albedos in open scenes of opaque Gaussians, fitted to five baked captures of a cow and a teapot
+under sky and in the sun (decision 0143)."""
+
+ROOM_ERRORS = AlbedoErrors(least=0.28, apart=2.1, dim=0.09)
+"""Sources of error of albedos in rooms of opaque Gaussians, fitted to one baked room (decision 0143)."""
+
+TRAINED_ERRORS = AlbedoErrors(least=1.62, apart=1.76, dim=0.0)
+"""Sources of error of albedos of translucent Gaussians, whose colours are parts of a blend; fitted to one trained
+capture of a glossy cow (decision 0143)."""
+
+OPAQUE = 0.9
+"""Median opacity of a capture above which its Gaussians count as opaque: baked ones have 0.995, trained ones 0.1."""
+
+ROUGHNESS_ERRORS = 0.09, 1.22
+"""``least`` and ``slope`` of `roughness_error`, fitted to three baked captures and a trained one (decision 0143)."""
 
 TOO_LIGHT = 0.02
 """`MaterialEstimate.remarks` reports a problem, such as an albedo above 1, if more than this fraction of the Gaussians
@@ -107,7 +125,7 @@ def delight(
 ) -> Gaussians:
     """Estimates ``albedo``, ``roughness`` and ``normals`` of a capture, with the light of the capture removed.
 
-    `estimate_materials` estimates the same materials, and also returns the estimated light and confidences.
+    `estimate_materials` estimates the same materials, and also returns the estimated light.
 
     Args:
         gaussians: A capture with display-referred colours; an existing albedo is replaced.
@@ -117,7 +135,7 @@ def delight(
         progress: Called with a label and the fraction done, 0..1.
 
     Returns:
-        The same Gaussians in the same order, with materials.
+        The same Gaussians in the same order, with materials and their errors.
 
     Raises:
         ConfigError: A setting is of the wrong kind.
@@ -270,7 +288,8 @@ class _Delighter:
             light = AlbedoPairFit(outgoing, incident, pairs, cells).solved(light)
         if not inside:
             light = with_typical_albedos(light, outgoing, incident)
-        rough, lobes = Roughness.unknown(self.gaussians.count), Lobes.of(self.gaussians.sh_degree)
+        lobes = Lobes.of(self.gaussians.sh_degree)
+        rough = read_only_view(np.full(count, ROUGHNESS_UNKNOWN, np.float32))
         if shines:
             fit = RoughnessFit(self.gaussians, normals, near, lobes)
             self.pace.begin(_HIGHLIGHTS)
@@ -278,19 +297,22 @@ class _Delighter:
             rough = fit.fitted(arriving, lambda tried: self.pace.add(costs[_HIGHLIGHTS] * tried / count))
         irradiance = incident.total(light.environment, light.emitters)
         reflectance = outgoing / np.maximum(irradiance, RADIANCE_LEAST)
-        matt, mirrored = self._parts(rough.value, lobes)
+        matt, mirrored = self._parts(rough, lobes)
         albedo = filled(np.maximum(reflectance - mirrored, MATT_LEAST * reflectance) / matt, irradiance, near)
+        errors = TRAINED_ERRORS
+        if np.median(self.gaussians.opacities) > OPAQUE:
+            errors = ROOM_ERRORS if inside else OPEN_ERRORS
+        error = errors.of(albedo_in_range(albedo), irradiance.mean(axis=1), normals, near)
         explained = (albedo_in_range(albedo) * matt + np.minimum(mirrored, reflectance)) * irradiance
         observed = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)
         return MaterialEstimate(
-            gaussians=self._with_materials(albedo, normals, rough.value),
+            gaussians=self._with_materials(albedo, normals, error, rough),
             cells=cells,
             environment=light.environment,
             emitters=light.emitters,
             emitter_of=emitters,
             residual=_unexplained(outgoing, explained),
-            confidence=np.clip(observed, 0.0, 1.0).astype(np.float32),
-            roughness_confidence=rough.confidence,
+            observed=np.clip(observed, 0.0, 1.0).astype(np.float32),
             is_inside=inside,
             out_of_range=(albedo > 1.0).any(axis=1) & (emitters < 0),
             is_white=white & (emitters < 0),
@@ -336,13 +358,18 @@ class _Delighter:
             replace(light, environment=radiances),
         )
 
-    def _with_materials(self, albedo: Doubles, normals: Doubles, roughness: FloatArray) -> Gaussians:
-        """Returns the capture with this albedo (scaled into 0..1), normals and roughness, and without metalness."""
+    def _with_materials(self, albedo: Doubles, normals: Doubles, error: FloatArray, rough: FloatArray) -> Gaussians:
+        """Returns the capture with this albedo (scaled into 0..1), normals and roughness, and without metalness.
+
+        ``error`` is that of the albedo.
+        """
         return replace(
             self.gaussians,
             albedo=read_only_view(albedo_in_range(albedo).astype(np.float32)),
-            roughness=roughness,
+            roughness=rough,
             metallic=None,
+            albedo_error=error,
+            roughness_error=roughness_error(rough, *ROUGHNESS_ERRORS),
             normals=read_only_view(normals.astype(np.float32)),
         )
 
@@ -403,7 +430,9 @@ class MaterialEstimate:
     """Estimated materials of a capture of N Gaussians, and the estimated light in which it was taken."""
 
     gaussians: Gaussians
-    """The capture with ``albedo`` (linear), ``roughness`` and ``normals`` for each Gaussian."""
+    """The capture with ``albedo`` (linear), ``roughness``, ``normals``, ``albedo_error`` and ``roughness_error`` for
+    each Gaussian. Where nothing shows the roughness, it is an assumed 0.8, as in a capture whose colours do not change
+    with the view direction."""
     cells: EnvironmentCells
     """The K cells of the environment; none if the capture was taken from inside, as a room is."""
     environment: Doubles
@@ -416,12 +445,9 @@ class MaterialEstimate:
     residual: FloatArray
     """Absolute difference between each Gaussian's captured and modelled radiance, relative to the captured radiance,
     shape (N,)."""
-    confidence: FloatArray
+    observed: FloatArray
     """Fraction of the irradiance at each Gaussian that is visible in the capture rather than estimated, 0..1, shape
     (N,)."""
-    roughness_confidence: FloatArray
-    """Degree, 0..1, to which highlights determine each Gaussian's roughness, shape (N,). At 0 the roughness is an
-    assumed 0.8, as in a capture whose colours do not change with the view direction."""
     is_inside: bool
     """True if the capture was treated as taken from inside a room: all light then comes from the capture itself."""
     out_of_range: Flags
@@ -468,7 +494,7 @@ class MaterialEstimate:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences for the user on assumptions and problems: room or open scene, emitters, guessed albedos."""
-        observed = float(self.confidence.mean())
+        observed = float(self.observed.mean())
         lines = [
             "taken for a closed room, as few rays escape: all light is its own (otherwise: --inside no, inside=False)"
             if self.is_inside
@@ -478,10 +504,18 @@ class MaterialEstimate:
         if len(self.emitters):
             brightness = ", ".join(f"{emitter.mean():.3g}" for emitter in self.emitters)
             lines.append(f"radiances of emitters, relative to display white: {brightness}")
-        if self.roughness_confidence.any():
-            share = float((self.roughness_confidence > CONFIDENT).mean())
+        found = self.gaussians
+        if found.albedo_error is not None:
+            half, most = np.exp(np.quantile(found.albedo_error, (0.5, 0.9)))
             lines.append(
-                f"highlights determine the roughness of {share:.0%} of the Gaussians; for others it tends to 0.8"
+                f"albedo of half of the Gaussians is within a factor of {half:.2f}, of nine tenths within {most:.2f} "
+                "(90 % intervals)"
+            )
+        if found.roughness is not None and (found.roughness != np.float32(ROUGHNESS_UNKNOWN)).any():
+            share = 0.0 if found.roughness_error is None else float((found.roughness_error <= ROUGHNESS_KNOWN).mean())
+            lines.append(
+                f"highlights determine the roughness of {share:.0%} of the Gaussians to {ROUGHNESS_KNOWN} or better; "
+                "for others it tends to 0.8"
             )
         else:
             lines.append("roughness is 0.8 everywhere: colours do not depend on the view, or there are emitters")

@@ -69,23 +69,6 @@ are similar."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Roughness:
-    """Estimated roughness of N Gaussians, and how reliable it is."""
-
-    value: FloatArray
-    """Perceptual roughness of each Gaussian, 0..1, shape (N,); it tends to 0.8 where the confidence is low."""
-    confidence: FloatArray
-    """Confidence in each Gaussian's roughness, 0..1, shape (N,): 1 - (variance of the roughness's likelihood) /
-    (variance of a uniform likelihood). At 0 the roughness is `ROUGHNESS_UNKNOWN`."""
-
-    @staticmethod
-    def unknown(count: int) -> Roughness:
-        """Returns roughness `ROUGHNESS_UNKNOWN` with confidence 0 for each of ``count`` Gaussians."""
-        value = read_only_view(np.full(count, ROUGHNESS_UNKNOWN, np.float32))
-        return Roughness(value, read_only_view(np.zeros(count, np.float32)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class RoughnessFit:
     """Fits the roughness of N dielectric Gaussians with ior 1.5 under estimated light.
 
@@ -101,8 +84,8 @@ class RoughnessFit:
     """Pairs of neighbouring Gaussians, in both orders and with themselves; fit errors are averaged over them."""
     lobes: Lobes
 
-    def fitted(self, arriving: FloatArray, tried: Callable[[int], object] = lambda count: None) -> Roughness:
-        """Fits the roughness of each Gaussian.
+    def fitted(self, arriving: FloatArray, tried: Callable[[int], object] = lambda count: None) -> FloatArray:
+        """Fits the perceptual roughness, 0..1, of N Gaussians, shape (N,); 0.8 where highlights do not show it.
 
         Args:
             arriving: Irradiance over pi from each of Q bins of the Gaussian's hemisphere, shape (N, Q, 3).
@@ -118,9 +101,8 @@ class RoughnessFit:
         grid = np.array(ROUGHNESS_GRID)
         mean = probabilities @ grid
         variance = np.maximum(probabilities @ np.square(grid) - np.square(mean), 0.0)
-        confidence = np.clip(1.0 - variance / grid.var(), 0.0, 1.0)
-        value = ROUGHNESS_UNKNOWN + confidence * (mean - ROUGHNESS_UNKNOWN)
-        return Roughness(read_only_view(value.astype(np.float32)), read_only_view(confidence.astype(np.float32)))
+        known = np.clip(1.0 - variance / grid.var(), 0.0, 1.0)
+        return read_only_view((ROUGHNESS_UNKNOWN + known * (mean - ROUGHNESS_UNKNOWN)).astype(np.float32))
 
     def _misfits(self, rows: Rows, arriving: Doubles, wider: Doubles) -> tuple[Doubles, Doubles]:
         """Returns the mean squared error and the best albedo of n Gaussians for each of R roughnesses.
