@@ -270,6 +270,25 @@ def test_choices_and_sliders_on_a_viewer_page_change_the_image(viewer: ls.Viewer
         assert viewer._session.state == state
 
 
+def test_error_views_of_the_viewer_color_captures_by_how_sure_their_albedo_is(viewer: ls.Viewer) -> None:
+    """Captures with errors offer the view; it is violet where the error is 0 and yellow where it is 2, lit or not."""
+    session, ball = viewer._session, cloud()
+    assert "albedo_error" not in session.views
+    for error, color in (
+        (np.zeros(ball.count), (0.078, 0.0, 0.285)),
+        (np.full(ball.count, 2.0), (0.999, 0.957, 0.696)),
+    ):
+        scene = ls.Scene([ls.SplatInstance(replace(ball, albedo_error=error), material=ls.MaterialPbr())], up=UP)
+        session.open(State(ls.io.SceneDocument.of(replace(scene, lights=lit_scene().lights))))
+        session.set_options(view="albedo_error")
+        assert "roughness_error" not in session.views
+        with PageClient(viewer.url) as page:
+            page.look(camera())
+            picture = settled(viewer, page)
+        middle = picture[HEIGHT // 2, picture.shape[1] // 2]
+        assert np.abs(middle / 255.0 - color).max() < 0.05
+
+
 def test_changing_tone_map_exposure_or_view_in_the_viewer_renders_no_new_samples(
     viewer: ls.Viewer, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,8 @@ _BOUNCE_VIEWS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirec
 """AOV views that only pipelines that trace indirect light can render."""
 _REALTIME_VIEWS = ("motion", "history", "probes", "cache", "cache_cells")
 """AOV views of data that the realtime pipeline carries from frame to frame, such as motion vectors and probes."""
+ERROR_VIEWS = {"albedo_error": 2.0, "roughness_error": 0.7}
+"""Views of captures coloured by a field of `lumisplat.Gaussians`, by its name, with the error that is shown yellow."""
 _LIT_VIEWS = ("shadow", "emission", *_BOUNCE_VIEWS, *_REALTIME_VIEWS)
 
 
@@ -85,8 +87,9 @@ class State:
     """Exposure of lit frames, in stops; +1 doubles the brightness."""
 
 
-VIEWS = ("color", *ls.Frame.VIEWS)
-"""All names that option *view* accepts: ``color`` for the rendered image, and the AOVs in `lumisplat.Frame.VIEWS`."""
+VIEWS = ("color", *ls.Frame.VIEWS, *ERROR_VIEWS)
+"""All names that option *view* accepts: ``color`` for the rendered image, the AOVs in `lumisplat.Frame.VIEWS`, and
+`ERROR_VIEWS`."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ class Options:
     budget_ms: float = 40.0
     """Time budget of a frame while the camera or the scene changes, milliseconds."""
     view: str = "color"
-    """Image of a frame that pages show: ``color``, or the AOV with a name of `lumisplat.Frame.VIEWS`."""
+    """Image that pages show: one of `VIEWS`."""
     time: float = 0.0
     """Animation time at which the scene is shown, seconds."""
     outlines: bool = True
@@ -267,8 +270,10 @@ class Session:
 
     @property
     def views(self) -> tuple[str, ...]:
-        """Names of the views that pages can show of the current state: ``color``, and the AOVs that its frames have."""
-        return available_views(self.state.config, lit=self.is_lit)
+        """Names of the views that pages can show: ``color``, AOVs that frames have, and errors that captures have."""
+        shown = self.scene.splats
+        errors = (name for name in ERROR_VIEWS if any(getattr(one.gaussians, name) is not None for one in shown))
+        return (*available_views(self.state.config, lit=self.is_lit), *errors)
 
     @property
     def selected_entry(self) -> ls.io.SceneEntry | None:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Generator, Hashable
 from dataclasses import dataclass, replace
 
 import lumisplat as ls
+from lumisplat.viewer.frames.error_colors import shown_scene
 from lumisplat.viewer.frames.page import (
     GAUSSIAN_STEPS,
     PIXEL_STEPS,
@@ -29,7 +30,7 @@ from lumisplat.viewer.frames.page import (
 )
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.frames.scene_builder import Levels, Progress, SceneBuilder
-from lumisplat.viewer.session import Options, Session, State
+from lumisplat.viewer.session import ERROR_VIEWS, Options, Session, State
 from lumisplat.viewer.thresholds import (
     BEFORE_SAMPLES,
     JPEG_QUALITY_AT_REST,
@@ -51,12 +52,13 @@ def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
 
     Args:
         config: Render settings of the scene.
-        view: ``color`` or one of `lumisplat.Frame.VIEWS`.
+        view: One of `lumisplat.viewer.session.VIEWS`.
     """
     needed = ls.Frame.NEEDS.get(view)
     samples = None if config.pipeline.is_sequence else 1
     limits = {"samples": samples, "noise": None, "time_limit": None, "adaptive": None}
-    return replace(config, **limits, aovs=() if needed is None else (needed,))
+    lighting = False if view in ERROR_VIEWS else config.lighting
+    return replace(config, **limits, lighting=lighting, aovs=() if needed is None else (needed,))
 
 
 class Renderers:
@@ -396,7 +398,7 @@ class RenderLoop:
         started = time.perf_counter()
         purpose = page if config.pipeline.is_sequence else _AT_REST if page.frames_at_rest else _MOVING
         renderer = self._renderers.of(purpose, config)
-        frame = renderer.develop(frame, state.exposure, encode=options.view == "color")
+        frame = renderer.develop(frame, state.exposure, encode=options.view not in ls.Frame.VIEWS)
         shown = ScreenImage(
             self._picture(job, frame, level=0), JPEG_QUALITY_AT_REST if page.frames_at_rest else JPEG_QUALITY_MOVING
         )
@@ -421,9 +423,9 @@ class RenderLoop:
         in_sequence = config.pipeline.is_sequence
         is_warm = self._renderers.has(page if in_sequence else _MOVING, config)
         renderer = self._renderers.of(page if in_sequence else _MOVING, config)
-        scene = self.scenes.of(state.document, config, options.time, step.level, waits=False)
+        scene = shown_scene(self.scenes.of(state.document, config, options.time, step.level, waits=False), options.view)
         camera = job.pose.camera(max(2, round(options.height * step.scale)), state.exposure)
-        frame = renderer.render(scene, camera, encode=options.view == "color")
+        frame = renderer.render(scene, camera, encode=options.view not in ls.Frame.VIEWS)
         picture = self._picture(job, frame, step.level)
         took = 1e3 * (time.perf_counter() - started)
         if is_warm:  # the first frame compiles and uploads
@@ -451,10 +453,10 @@ class RenderLoop:
         camera = job.pose.camera(options.height, state.exposure)
         is_first = not page.frames_at_rest or page.content is None or not _has_same_inputs(page.content, content)
         frame = renderer.render(
-            self.scenes.of(state.document, config, options.time, 0, waits=True),
+            shown_scene(self.scenes.of(state.document, config, options.time, 0, waits=True), options.view),
             camera,
             resume=None if is_first or in_sequence else page.frame,
-            encode=options.view == "color",
+            encode=options.view not in ls.Frame.VIEWS,
             progress=None if in_sequence else _ignore,
             stop=self.must_yield,
         )
@@ -495,8 +497,9 @@ class RenderLoop:
         if page.before_image is None or page.before_image_key != key:
             renderer = self._renderers.of((_BEFORE, job.moves), config)
             scene = self._scenes_before.of(job.before.document, config, options.time, level, waits=not job.moves)
+            scene = shown_scene(scene, options.view)
             stop = None if job.moves else self.must_yield
-            frame = renderer.render(scene, camera, encode=options.view == "color", stop=stop)
+            frame = renderer.render(scene, camera, encode=options.view not in ls.Frame.VIEWS, stop=stop)
             page.before_image, page.before_image_key = frame_image(frame, options.view), key
         return page.before_image
 
@@ -504,7 +507,8 @@ class RenderLoop:
 def _frame_inputs(job: _Job, config: ls.RenderConfig) -> tuple[object, ...]:
     """Returns what a frame depends on before tone mapping: document, camera, settings, height and time."""
     undeveloped = replace(config, tone_map=ls.ToneMap.NONE)
-    return job.state.document, job.pose, undeveloped, job.options.height, job.options.time
+    error = job.options.view if job.options.view in ERROR_VIEWS else None
+    return job.state.document, job.pose, undeveloped, job.options.height, job.options.time, error
 
 
 def _has_same_inputs(one: tuple[object, ...], other: tuple[object, ...]) -> bool:

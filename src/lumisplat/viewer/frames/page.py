@@ -138,12 +138,12 @@ def frame_image(frame: ls.Frame, view: str) -> Picture:
 
     Args:
         frame: The frame.
-        view: ``color`` or one of `lumisplat.Frame.VIEWS`.
+        view: One of `lumisplat.viewer.session.VIEWS`.
 
     Raises:
         ConfigError: The frame was rendered without the AOV that the view needs.
     """
-    if view != "color":
+    if view in ls.Frame.VIEWS:
         return (255.0 * frame.view(view) + 0.5).astype(np.uint8)
     pixels = np.asarray(frame, np.uint8)
     if pixels.shape[2] == 3:
