@@ -72,7 +72,7 @@ def whole(capture: ls.Gaussians, folder: Path, tmp_path_factory: pytest.TempPath
 
 def assert_same(first: ls.inverse.FoundMaterials, second: ls.inverse.FoundMaterials) -> None:
     """Compares two results to the bit."""
-    for name in ("albedo", "roughness", "normals"):
+    for name in ("albedo", "roughness", "normals", "albedo_error", "roughness_error"):
         np.testing.assert_array_equal(getattr(first.gaussians, name), getattr(second.gaussians, name), name)
     np.testing.assert_array_equal(first.environment.image, second.environment.image)  # pyright: ignore[reportArgumentType]
     assert (first.error, first.too_light) == (second.error, second.too_light)
