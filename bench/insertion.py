@@ -1,9 +1,9 @@
-"""Compares objects inserted into captures with the truth by paths, for each way to light them (10 minutes).
+"""Compares objects inserted into captures with the truth by paths, for each way to light them.
 
-``python -m bench.insertion [--places room yard]`` prints a JSON object per place and way, and writes
-images to /tmp/insertion: the truth, then all ways in the order in which they are printed. Captures have the light of
-their lamp, or of sun and sky, baked into the colours of their Gaussians, without the things: a knot of clay and a ball
-of brass. The truth is path traced from the same Gaussians with true materials and lights, and with the things.
+``python -m bench.insertion [--places room yard]`` prints a JSON object per place and way, and writes images to
+/tmp/insertion: the truth, then all ways in the order in which they are printed. Captures have the light of their lamp,
+or of sun and sky, baked into the colours of their Gaussians, without the things: a knot of clay and a ball of brass.
+The truth is path traced from the same Gaussians with true materials and lights, and with the things.
 
 Ways are those of docs/guide/place_objects.md and the pages that it names, with 16 samples in hybrid and 64 in path
 frames, without denoising:
@@ -336,7 +336,7 @@ def main() -> None:
             for view, image in zip(views, images, strict=True):
                 view.append(image)
         for number, view in enumerate(views):
-            write_png(OUT / f"{name.replace(' ', '_')}_{number}.png", (sheet(view) * 255.0 + 0.5).astype(np.uint8))
+            write_png(OUT / f"{name}_{number}.png", (sheet(view) * 255.0 + 0.5).astype(np.uint8))
 
 
 if __name__ == "__main__":

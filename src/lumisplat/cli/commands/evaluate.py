@@ -208,8 +208,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
         else:
             assert self.output is not None
             file, seconds = self._trained(folder, benchmark, self.output)
-        is_default = self.pipeline in (None, "path")
-        config = None if is_default else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
+        config = None  # paths, with settings that suit these sets
+        if self.pipeline not in (None, "path"):
+            config = ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
         with progress_bars() as report:
             self.quiet_warp()
             result = ls.inverse.evaluate_published(
