@@ -1,4 +1,4 @@
-"""Compares objects inserted into captures with the truth by paths, for each way to light them.
+"""Compares objects inserted into captures with the truth by paths, for each way to light them (8 CPU minutes).
 
 ``python -m bench.insertion [--places room yard]`` prints a JSON object per place and way, and writes images to
 /tmp/insertion: the truth, then all ways in the order in which they are printed. Captures have the light of their lamp,
