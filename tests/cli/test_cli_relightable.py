@@ -32,7 +32,7 @@ def test_train_relightable_writes_materials_and_an_environment(
     found = ls.load(output)
     assert isinstance(found, ls.Gaussians)
     assert found.albedo is not None and found.roughness is not None and found.normals is not None
-    assert found.sh_degree == 1
+    assert found.sh_degree == 1 and found.metallic is None
     environment = ls.LightEnvironment(ls.io.load_radiance(tmp_path / "out" / "a.environment.exr"))
     assert environment.image is not None and environment.image.shape == (16, 32, 3) and environment.image.min() > 0.0
     report = output.with_suffix(".training") / "materials"
@@ -77,6 +77,16 @@ def test_train_relightable_estimates_materials_from_refined_poses(
     capsys.readouterr()
     assert main(command) == 2
     assert "materials.json: cannot be written" in capsys.readouterr().err
+
+
+def test_train_metal_writes_a_capture_of_metal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The option goes to the search, and is refused where nothing reads it."""
+    folder, output = write_training_folder(tmp_path / "set"), tmp_path / "a.ply"
+    assert main(["train", str(folder), "-o", str(output), *SHORT, "--relightable", "--metal"]) == 0
+    found = ls.load(output)
+    assert isinstance(found, ls.Gaussians) and found.metallic is not None and (found.metallic == 1.0).all()
+    assert main(["train", str(folder), "-o", str(output), "--metal"]) == 2
+    assert "--metal needs --relightable" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

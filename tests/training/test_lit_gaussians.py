@@ -38,6 +38,7 @@ def some(seed: int = 0, directions: int = DIRECTIONS, brightest: float = 0.4) ->
         normals=normals,
         albedo=rng.uniform(0.05, 0.9, (COUNT, 3)),
         roughness=rng.uniform(0.3, 1.0, COUNT),
+        metallic=0.0,
         directions=even_directions(directions),
         environment=rng.uniform(0.0, brightest, (directions, 3)),
         open=rng.uniform(size=(COUNT, directions)),
@@ -53,7 +54,7 @@ class Shown:
         self.launcher = Launcher("cpu", 2)
         self.buffers = Buffers(self.launcher.device)
         incident = IncidentRadiance(lit.directions, lit.open.astype(np.float32), lit.seen.astype(np.float32))
-        self.gaussians = LitGaussians(self.launcher, self.buffers, lit.means, incident)
+        self.gaussians = LitGaussians(self.launcher, self.buffers, lit.means, incident, metal=lit.metallic == 1.0)
         self.sh = self.buffers.get("test.sh", wp.vec3, len(lit.means))
         self.gaussians.shade(Materials(lit.albedo, lit.roughness, lit.normals, lit.environment), EYE, self.sh)
 
@@ -69,9 +70,10 @@ class Shown:
         return self.gaussians.differentiate()
 
 
-def test_radiance_of_shaded_gaussians_matches_float64() -> None:
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_radiance_of_shaded_gaussians_matches_float64(metallic: float) -> None:
     """Display-referred colours are clipped at white."""
-    lit = some(brightest=4.0)
+    lit = replace(some(brightest=4.0), metallic=metallic)
     shown, expected = Shown(lit), radiance(lit, EYE)
     np.testing.assert_allclose(shown.gaussians.radiance, expected, rtol=2e-4, atol=1e-6)
     color = np.asarray(shown.sh.numpy()) * 0.28209479177387814 + 0.5
@@ -89,19 +91,24 @@ def test_gaussian_viewed_from_below_its_plane_shows_what_the_mirrored_eye_would_
     np.testing.assert_allclose(Shown(lit).gaussians.radiance, Shown(above).gaussians.radiance, rtol=1e-4, atol=1e-6)
 
 
-def test_shading_summed_over_directions_converges_to_the_hemisphere_integral() -> None:
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_shading_summed_over_directions_converges_to_the_hemisphere_integral(metallic: float) -> None:
     """The reference integrates `pbr_eval` under a smooth environment."""
     lit = replace(some(directions=1024), seen=np.zeros((COUNT, 1024, 3)), open=np.ones((COUNT, 1024)))
 
     def environment(directions: np.ndarray) -> np.ndarray:
         return (1.0 + 0.5 * directions[:, :1] + 0.3 * directions[:, 1:2] * directions[:, 2:]) * (0.3, 0.4, 0.5)
 
-    lit = replace(lit, environment=environment(lit.directions), roughness=np.maximum(lit.roughness, 0.5))
+    lit = replace(
+        lit, metallic=metallic, environment=environment(lit.directions), roughness=np.maximum(lit.roughness, 0.5)
+    )
     found = Shown(lit).gaussians.radiance
     directions, weights = sphere_quadrature(120)
     for i in range(0, 40, 4):
         view = lit_view(lit.normals[i], EYE - lit.means[i])
-        material = {"model": "pbr", "diffuse": lit.albedo[i], "specular": [0.04] * 3, "grazing": 1.0}
+        metal = lit.metallic
+        material = {"model": "pbr", "diffuse": (1.0 - metal) * lit.albedo[i], "grazing": 1.0}
+        material |= {"specular": 0.04 * (1.0 - metal) + metal * lit.albedo[i]}
         material |= {"dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": lit.roughness[i] ** 2}
         normals, views = (np.broadcast_to(one, directions.shape) for one in (lit.normals[i], view))
         reflected = evaluate(material, normals, views, directions) * (directions @ lit.normals[i])[:, None]
@@ -123,10 +130,11 @@ def encoded_slope(linear: np.ndarray) -> np.ndarray:
     return slope(lambda h: encode_srgb(linear + h), 1e-6)
 
 
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
 @pytest.mark.parametrize("name", ["albedo", "roughness", "environment"])
-def test_gradients_of_shading_for_materials_match_central_differences(name: str) -> None:
+def test_gradients_of_shading_for_materials_match_central_differences(name: str, metallic: float) -> None:
     """The reference is float64, along random directions in the space of parameters."""
-    lit, rng = some(3), np.random.default_rng(4)
+    lit, rng = replace(some(3), metallic=metallic), np.random.default_rng(4)
     given = rng.normal(size=(COUNT, 3))
     found = getattr(Shown(lit).by_radiance(given), name)
     linear = given * encoded_slope(radiance(lit, EYE))

@@ -190,6 +190,9 @@ class MaterialsConfig:
     """Steps that refine materials and environment, each with one image."""
     roughness: Annotated[float, Range(0.1, 1.0)] = 0.5
     """Roughness of all Gaussians at the start."""
+    metal: bool = False
+    """Whether all surfaces are bare metal instead of dielectrics. Images seldom tell: black plastic in bright light
+    looks like metal in dim light."""
     seed: Seed = 0
     """Seed of all random numbers: the same seed gives the same result, on any number of threads."""
 

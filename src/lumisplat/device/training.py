@@ -166,7 +166,7 @@ class LossWeights:
 
 @struct
 class GaussianMaterials:
-    """Dielectric materials to be fitted, one element for each Gaussian."""
+    """Opaque materials to be fitted, one element for each Gaussian."""
 
     means: wp.array[wp.vec3]
     normals: wp.array[wp.vec3]
@@ -175,6 +175,8 @@ class GaussianMaterials:
     """Base colour, linear, 0..1."""
     roughness: wp.array[float]
     """Perceptual roughness, above 0, at most 1."""
+    metallic: float
+    """Metalness of all Gaussians: 0 for dielectrics, 1 for metals, whose reflectance is the albedo."""
 
 
 @struct

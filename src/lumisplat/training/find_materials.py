@@ -42,14 +42,15 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.local_frame import LocalFrame
 from lumisplat.scene.scene import Scene
+from lumisplat.training.color_fit import CapturedColors, chosen_views, fit_colors
 from lumisplat.training.lit_gaussians import IncidentRadiance, Materials, rendered_normals, traced_incident
 from lumisplat.training.material_fit import (
     MaterialFit,
     environment_image,
     fit_environment,
-    materials_of,
     white_radiance,
 )
+from lumisplat.training.material_parameters import materials_of
 from lumisplat.training.run_folder import RunFolder, write_state
 from lumisplat.training.train import CHECKPOINT_EVERY_S
 from lumisplat.training.views import TargetPixels, TrainingView
@@ -74,6 +75,9 @@ ALBEDO_ERRORS = AlbedoErrors(least=0.53, apart=2.5, dim=1.19)
 
 ROUGHNESS_ERRORS = 0.2, 0.27
 """``least`` and ``slope`` of `roughness_error`, fitted to the same capture as `ALBEDO_ERRORS`."""
+
+METAL_ALBEDO = 0.6
+"""Albedo of metals before the fits."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -198,6 +202,7 @@ class _Search:
             normals=materials.normals.astype(np.float32),
             albedo=materials.albedo.astype(np.float32),
             roughness=materials.roughness.astype(np.float32),
+            metallic=np.ones(self._gaussians.count, np.float32) if self._config.metal else None,
             albedo_error=self._albedo_error(materials),
             roughness_error=roughness_error(materials.roughness, *ROUGHNESS_ERRORS),
         )
@@ -222,7 +227,7 @@ class _Search:
         config, gaussians = self._config, self._gaussians
         settings = RenderConfig(pipeline=Pipeline.RASTER, lighting=False)
         renderer = DifferentiableRenderer(settings, self._device, threads=self._threads, progress=self._progress)
-        normals, weights = self._normals(renderer)
+        normals, weights, colors = self._surfaces(renderer)
         self._warn_of_exposures(renderer)
         directions = even_directions(config.directions)
         incident = self._incident(normals)
@@ -234,22 +239,49 @@ class _Search:
         albedo = outgoing / white_radiance(white, environment)
         too_light = float(np.average(albedo.max(axis=1) > 1.0, weights=weights))
         roughness = np.full(gaussians.count, config.roughness)
-        state = SearchState(Materials(albedo_in_range(albedo), roughness, normals, environment), too_light)
+        start = Materials(albedo_in_range(albedo), roughness, normals, environment)
+        if config.metal:
+            start = self._metals(start, incident, colors)
+        state = SearchState(start, too_light)
         if self._files is not None:
             if config.iterations:
                 self._files.write_incident(incident)
             self._files.write(state)
         return state, incident
 
-    def _normals(self, renderer: DifferentiableRenderer) -> tuple[Doubles, Doubles]:
-        """Returns each Gaussian's normal, and its blending weight summed over all pixels of the images."""
+    def _metals(self, start: Materials, incident: IncidentRadiance, colors: CapturedColors) -> Materials:
+        """Returns materials of metals, and the environment that they reflect, found from the captured colours.
+
+        The environment under which albedos of matt surfaces agree says nothing of metals: the fit starts from its mean.
+        """
+        mean = np.exp(np.log(start.environment).mean(axis=0))
+        start = replace(
+            start,
+            albedo=np.full_like(start.albedo, METAL_ALBEDO),
+            environment=np.tile(mean, (len(start.environment), 1)),
+        )
+        found = fit_colors(
+            self._gaussians,
+            incident,
+            start,
+            colors,
+            seed=self._config.seed,
+            device=self._device,
+            threads=self._threads,
+            report=self._progress,
+        )
+        return replace(found, albedo=albedo_in_range(found.albedo))
+
+    def _surfaces(self, renderer: DifferentiableRenderer) -> tuple[Doubles, Doubles, CapturedColors]:
+        """Returns each Gaussian's normal, its blending weight in all images, and views of its captured colours."""
         cameras = [view.camera for view in self._views]
-        normals, weights = rendered_normals(self._gaussians, cameras, renderer, self._progress)
+        kept = chosen_views(len(cameras))
+        normals, weights, by_view = rendered_normals(self._gaussians, cameras, renderer, self._progress, kept=kept)
         if not weights.any():
             raise SceneError(
                 "no image shows the capture: expected images of the same scene with poses in the same coordinates"
             )
-        return normals, weights
+        return normals, weights, CapturedColors(np.array([cameras[index].eye for index in kept]), by_view)
 
     def _warn_of_exposures(self, renderer: DifferentiableRenderer) -> None:
         """Logs a warning if the brightness of the images varies by more than `EXPOSURE_SPREAD_MAX`."""
@@ -436,6 +468,8 @@ class MaterialFiles:
             config: Settings.
         """
         settings = {_SETTING_KEYS.get(name, name): value for name, value in asdict(config).items()}
+        if not config.metal:
+            del settings["metal"]  # as before there were metals
         stored = hashlib.sha256(json.dumps([VERSION, images, settings, gaussians.antialiased]).encode())
         for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
             stored.update(getattr(gaussians, name).tobytes())

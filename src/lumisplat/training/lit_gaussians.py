@@ -10,7 +10,7 @@ import warp as wp
 
 from lumisplat.constants import ENVIRONMENT_CHUNK, SPREAD_SHARE, SURFACE_ALPHA
 from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient
-from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.progress import Progress
 from lumisplat.relighting.irradiance import Irradiance, hit_radiance
 from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
@@ -38,13 +38,17 @@ class Materials:
     """Materials of N Gaussians and the environment that lights them."""
 
     albedo: Doubles
-    """Linear diffuse albedo of N Gaussians, 0..1, shape (N, 3)."""
+    """Linear base colour of N Gaussians, 0..1, shape (N, 3): diffuse albedo, and of metal the reflectance."""
     roughness: Doubles
     """Perceptual roughness of N Gaussians, above 0, at most 1, shape (N,)."""
     normals: Doubles
     """Unit normals of N Gaussians in world space, shape (N, 3)."""
     environment: Doubles
     """Radiance of the environment in K evenly spread directions, linear, in units of display white, shape (K, 3)."""
+
+    def subset(self, rows: Rows) -> Materials:
+        """Returns the materials of some of the Gaussians, in the same environment."""
+        return Materials(self.albedo[rows], self.roughness[rows], self.normals[rows], self.environment)
 
 
 class LitGaussians:
@@ -55,13 +59,16 @@ class LitGaussians:
         buffers: Owner of the device arrays.
         means: Means of the Gaussians, shape (N, 3).
         incident: Incident radiance of each Gaussian.
+        metal: Whether all Gaussians are metals instead of dielectrics.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, means: FloatArray, incident: IncidentRadiance) -> None:
+    def __init__(
+        self, launcher: Launcher, buffers: Buffers, means: FloatArray, incident: IncidentRadiance, *, metal: bool
+    ) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._count, self._directions = incident.open.shape
         self._materials, self._light = GaussianMaterials(), DirectionalLight()
-        self._materials.means = self._vectors("means", means)
+        self._materials.means, self._materials.metallic = self._vectors("means", means), float(metal)
         self._light.directions = self._vectors("directions", incident.directions)
         self._light.solid_angle = incident.solid_angle
         self._light.spread = SPREAD_SHARE * SPREAD_SHARE * incident.solid_angle
@@ -101,11 +108,15 @@ class LitGaussians:
         inputs = (rects, by_splats, self._radiance, self._by_radiance)
         self._launcher.run_banded(material_kernels.decode_gradients, self._count, *inputs)
 
-    def differentiate(self) -> Materials:
+    def differentiate(self, by_radiance: Doubles | None = None) -> Materials:
         """Returns the gradient of the loss with respect to materials and environment, in the form of `Materials`.
 
-        Requires a preceding call of ``decode``.
+        Args:
+            by_radiance: Gradient of the loss with respect to the linear radiance of the Gaussians, shape (N, 3); None:
+                the one that the last ``decode`` computed.
         """
+        if by_radiance is not None:
+            self._by_radiance.assign(_floats(by_radiance))
         run, get, count = self._launcher.run_banded, self._buffers.get, self._count
         gradient = MaterialGradient()
         gradient.albedo, gradient.normals = (get(f"materials.by_{x}", wp.vec3, count) for x in ("albedo", "normals"))
@@ -145,6 +156,10 @@ class IncidentRadiance:
     seen: FloatArray
     """Captured radiance that arrives at N Gaussians from blocking Gaussians in K directions, linear, in units of
     display white, shape (N, K, 3)."""
+
+    def subset(self, rows: Rows | slice) -> IncidentRadiance:
+        """Returns the radiance that arrives at some of the Gaussians."""
+        return IncidentRadiance(self.directions, self.open[rows], self.seen[rows])
 
     @property
     def solid_angle(self) -> float:
@@ -209,9 +224,14 @@ def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def rendered_normals(
-    gaussians: Gaussians, cameras: Sequence[Camera], renderer: DifferentiableRenderer, report: Progress
-) -> tuple[Doubles, Doubles]:
-    """Estimates the unit normal of each of N Gaussians towards the cameras, and its total blending weight.
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    renderer: DifferentiableRenderer,
+    report: Progress,
+    *,
+    kept: Sequence[int] = (),
+) -> tuple[Doubles, Doubles, FloatArray]:
+    """Estimates the unit normal of each of N Gaussians towards the cameras, and its blending weights.
 
     Each view gives a normal map of the surface at mean depth. The normal of a Gaussian is the mean of these maps over
     all pixels of all views, weighted by the Gaussian's blending weights. A Gaussian visible in no pixel with a normal
@@ -222,10 +242,13 @@ def rendered_normals(
         cameras: Pinhole cameras.
         renderer: Renderer of raster frames.
         report: Called with a description of the current work and the fraction done, 0..1.
+        kept: Indices of K cameras whose blending weights are returned one by one.
 
     Returns:
-        Normals in world space, shape (N, 3), and blending weights summed over all pixels, shape (N,).
+        Normals in world space, shape (N, 3); blending weights summed over all pixels of all cameras, shape (N,), and of
+        the kept cameras, shape (K, N).
     """
+    by_camera = dict.fromkeys(kept, np.zeros(0, np.float32))
     sums, towards = np.zeros((gaussians.count, 3)), np.zeros((gaussians.count, 3))
     weights = np.zeros(gaussians.count)
     for number, camera in enumerate(cameras):
@@ -239,11 +262,14 @@ def rendered_normals(
         assert found.features is not None
         sums += found.features
         weights += found.weights
+        if number in by_camera:
+            by_camera[number] = found.weights.astype(np.float32)
         towards += (found.weights / np.linalg.norm(to_camera, axis=1))[:, None] * to_camera
     axes = shortest_axes(gaussians)
     axes *= np.where((axes * towards).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
     length = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.where(length > 1e-6, sums / np.maximum(length, 1e-6), axes), weights
+    stacked = np.stack(list(by_camera.values())) if kept else np.zeros((0, gaussians.count), np.float32)
+    return np.where(length > 1e-6, sums / np.maximum(length, 1e-6), axes), weights, stacked
 
 
 def surface_normals(camera: Camera, depth: FloatArray, alpha: FloatArray) -> FloatArray:

@@ -5,9 +5,8 @@ Smoothness terms over pairs of neighbouring Gaussians keep their materials simil
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
@@ -31,6 +30,12 @@ from lumisplat.training import loss_kernels, material_gradient_kernels, material
 from lumisplat.training.backends import TrainingRaster
 from lumisplat.training.lit_gaussians import IncidentRadiance, LitGaussians, Materials
 from lumisplat.training.losses import ImageLoss, Loss
+from lumisplat.training.material_parameters import (
+    MaterialParameters,
+    MaterialRates,
+    nearest_directions,
+    smoothness_gradient,
+)
 from lumisplat.training.parameters import DeviceParameters, TrainedParameters
 from lumisplat.training.trainer import frame_settings
 from lumisplat.training.views import TrainingView
@@ -115,12 +120,6 @@ ENVIRONMENT_PAIRS = 60_000
 ENVIRONMENT_RATE = 0.05
 """Initial learning rate of the logarithm of the environment's radiance; it falls linearly to 0."""
 
-ENVIRONMENT_SMOOTHNESS = 1e-3
-"""Weight of squared differences of log radiance between neighbouring directions of the environment. The albedo term, a
-mean over pairs of Gaussians (`SimilarPairs.albedo_term`), has weight 1."""
-
-ENVIRONMENT_NEIGHBOURS = 6
-
 ENVIRONMENT_PRIOR = 1e-4
 """Weight of the squared change of log radiance from the initial environment. The albedo term, a mean over pairs of
 Gaussians (`SimilarPairs.albedo_term`), has weight 1."""
@@ -135,19 +134,11 @@ CHROMA_WIDTH = 0.15
 EDGE_WIDTH = 0.3
 """Difference of log albedo above which the Cauchy loss treats a pair of Gaussians as lying across a texture edge."""
 
-ROUGHNESS_MIN = 0.1
-"""Smallest roughness that the material fit gives a Gaussian."""
-
 NEIGHBOURS = 6
 """Number of nearest Gaussians whose albedo and roughness the smoothness terms compare with those of each Gaussian."""
 
-ALBEDO_RATE = 0.01
-
-ROUGHNESS_RATE = 0.02
-
-ENVIRONMENT_REFINE_RATE = 0.005
-"""Initial learning rate of the environment's log radiance. In the second half of the iterations, all rates of the fit
-fall exponentially to a tenth."""
+RATES = MaterialRates(albedo=0.01, roughness=0.02, environment=0.005)
+"""Initial learning rates. In the second half of the iterations, they fall exponentially to a tenth."""
 
 ALBEDO_SMOOTHNESS = 0.05
 """Weight of the squared difference, within pairs of neighbouring Gaussians, of how much log albedo has changed since
@@ -158,11 +149,6 @@ ROUGHNESS_SMOOTHNESS = 0.05
 
 SSIM_FRACTION = 0.2
 """Fraction of the SSIM term in the image loss, as in training; the rest is L1."""
-
-_ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
-_LOGIT_MAX = 7.0
-_STATE_KEYS = ("albedo", "roughness", "sky")
-"""Names of the optimised arrays in `MaterialFit.state` and in state files."""
 
 
 class MaterialFit:
@@ -203,31 +189,22 @@ class MaterialFit:
             progress=progress,
         )
         self._loss = ImageLoss(launcher, buffers, ssim=SSIM_FRACTION, alpha=0.0)
-        self._lit = LitGaussians(launcher, buffers, gaussians.means, incident)
-        self._near, self._ring = neighbour_pairs(gaussians.means), nearest_directions(incident.directions)
-        self._normals = start.normals
-        self._albedo: Doubles = _logits(start.albedo)
-        self._roughness: Doubles = _logits((start.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE)
-        self._environment: Doubles = np.log(np.maximum(start.environment, RADIANCE_LEAST))
-        self._first = np.log(_sigmoid(self._albedo))
-        self._moments = [Adam.still(array.shape) for array in (self._albedo, self._roughness, self._environment)]
+        self._lit = LitGaussians(launcher, buffers, gaussians.means, incident, metal=config.metal)
+        self._near = neighbour_pairs(gaussians.means)
+        self._parameters = MaterialParameters(start, incident.directions)
+        self._first = np.log(self.materials.albedo)
         self.iteration = 0
         """Number of iterations completed."""
 
     @property
     def materials(self) -> Materials:
         """Current materials and environment."""
-        return materials_of(
-            {"albedo": self._albedo, "roughness": self._roughness, "sky": self._environment}, self._normals
-        )
+        return self._parameters.materials
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """Optimised arrays and their Adam moments by name; the next step depends on them and on ``iteration`` only."""
-        arrays: dict[str, Doubles] = {"albedo": self._albedo, "roughness": self._roughness, "sky": self._environment}
-        for name, moments in zip(_STATE_KEYS, self._moments, strict=True):
-            arrays |= {f"{name}.first": moments.first, f"{name}.second": moments.second}
-        return arrays
+        """State of the parameters by name; the next step depends on it and on ``iteration`` only."""
+        return self._parameters.state
 
     def restore(self, state: dict[str, Doubles], iteration: int) -> None:
         """Continues from a stored state.
@@ -236,11 +213,7 @@ class MaterialFit:
             state: The ``state`` of a fit with the same initial materials.
             iteration: Number of iterations that the stored fit had completed.
         """
-        self._albedo, self._roughness, self._environment = (state[name].copy() for name in _STATE_KEYS)
-        self._moments = [
-            Adam(state[f"{name}.first"].copy(), state[f"{name}.second"].copy(), np.array(float(iteration)))
-            for name in _STATE_KEYS
-        ]
+        self._parameters.restore(state, iteration)
         self.iteration = iteration
 
     def step(self) -> Loss:
@@ -264,42 +237,17 @@ class MaterialFit:
         return self._loss.read(camera.image_size), self._lit.differentiate()
 
     def _update(self, gradient: Materials) -> None:
-        """Adds the smoothness gradients to ``gradient``, and makes an Adam step of all materials and the environment.
-
-        Albedo and roughness are optimised as logits, radiance of the environment as logarithm.
-        """
-        now = self.materials
-        share = (now.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE
+        """Makes a step of all materials and the environment, after adding the gradients of the smoothness terms."""
+        now, near = self.materials, self._near
         changes = np.log(now.albedo) - self._first
-        by_change = np.stack([self._near.square_term(changes[:, c])[1] for c in range(3)], axis=1)
-        by_albedo = gradient.albedo * now.albedo + ALBEDO_SMOOTHNESS * by_change
-        by_roughness = gradient.roughness + ROUGHNESS_SMOOTHNESS * self._near.square_term(now.roughness)[1]
-        by_environment = gradient.environment * now.environment + smoothness_gradient(self._environment, self._ring)
-        fall = 0.1 ** max(2.0 * self.iteration / self._config.iterations - 1.0, 0.0)
-        albedo, roughness, environment = self._moments
-        self._albedo += albedo.step(by_albedo * (1.0 - now.albedo), fall * ALBEDO_RATE)
-        self._roughness += roughness.step(
-            by_roughness * _ROUGHNESS_RANGE * share * (1.0 - share), fall * ROUGHNESS_RATE
+        by_change = np.stack([near.square_term(changes[:, c])[1] for c in range(3)], axis=1)
+        smoothed = replace(
+            gradient,
+            albedo=gradient.albedo + ALBEDO_SMOOTHNESS * by_change / now.albedo,
+            roughness=gradient.roughness + ROUGHNESS_SMOOTHNESS * near.square_term(now.roughness)[1],
         )
-        self._environment += environment.step(by_environment, fall * ENVIRONMENT_REFINE_RATE)
-        for logits in (self._albedo, self._roughness):
-            np.clip(logits, -_LOGIT_MAX, _LOGIT_MAX, out=logits)
-
-
-def materials_of(state: Mapping[str, Doubles], normals: Doubles) -> Materials:
-    """Converts logits of albedo and roughness and log radiance of the environment to `Materials` with ``normals``."""
-    roughness = ROUGHNESS_MIN + _ROUGHNESS_RANGE * _sigmoid(state["roughness"])
-    return Materials(_sigmoid(state["albedo"]), roughness, normals, np.exp(state["sky"]))
-
-
-def _sigmoid(logits: Doubles) -> Doubles:
-    return 1.0 / (1.0 + np.exp(-logits))
-
-
-def _logits(shares: Doubles) -> Doubles:
-    least = 1.0 / (1.0 + math.exp(_LOGIT_MAX))
-    inside = np.clip(shares, least, 1.0 - least)
-    return np.log(inside / (1.0 - inside))
+        fall = 0.1 ** max(2.0 * self.iteration / self._config.iterations - 1.0, 0.0)
+        self._parameters.step(smoothed, RATES.scaled(fall))
 
 
 def white_radiance(white: Irradiance, environment: Doubles) -> Doubles:
@@ -368,23 +316,6 @@ def fit_environment(
     environment = np.exp(moved)
     lit = (white.environment @ environment.astype(np.float32)).astype(np.float64)
     return typical_albedo_factor(outgoing, white.observed, lit, weights) * environment
-
-
-def nearest_directions(directions: Doubles) -> np.ndarray:
-    """Returns, for each of K directions, the indices of the six nearest other directions, shape (K, 6)."""
-    return np.argsort(-(directions @ directions.T), axis=1, kind="stable")[:, 1 : 1 + ENVIRONMENT_NEIGHBOURS]
-
-
-def smoothness_gradient(log_environment: Doubles, neighbours: np.ndarray) -> Doubles:
-    """Returns the smoothness term's gradient with respect to the log radiance of K directions, shape (K, 3).
-
-    ``neighbours`` holds the indices of each direction's neighbours, shape (K, 6); their radiance is held fixed.
-    """
-    return (
-        ENVIRONMENT_SMOOTHNESS
-        / len(log_environment)
-        * (log_environment[:, None] - log_environment[neighbours]).sum(axis=1)
-    )
 
 
 HEIGHT, WIDTH = 16, 32

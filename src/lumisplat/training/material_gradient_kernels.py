@@ -6,7 +6,7 @@ the module has called them; otherwise their derivatives are 0.
 
 import warp as wp
 
-from lumisplat.device.material.microfacets import reflected_dot
+from lumisplat.device.material.microfacets import opaque_dot
 from lumisplat.device.math.directions import flipped_to_front
 from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient, incident_radiance
 
@@ -34,19 +34,25 @@ def differentiate(
     given = by_radiance[i]
     if wp.dot(given, given) > 0.0:
         normal = materials.normals[i]
-        albedo = materials.albedo[i]
         view = flipped_to_front(wp.normalize(eye - materials.means[i]), normal)
         for k in range(light.directions.shape[0]):
             direction = light.directions[k]
             if wp.dot(normal, direction) > 0.0:
                 weighted = light.solid_angle * wp.cw_mul(given, incident_radiance(light, i, k))
-                by_diffuse = wp.dot(albedo, weighted)
-                by_highlight = weighted[0] + weighted[1] + weighted[2]
-                normal_part, roughness_part, _view, _direction, _spread, diffuse, _highlight = wp.grad(reflected_dot)(
-                    normal, materials.roughness[i], view, direction, light.spread, by_diffuse, by_highlight
+                normal_part, albedo_part, roughness_part, _metallic, _view, _direction, _spread, _weights = wp.grad(
+                    opaque_dot
+                )(
+                    normal,
+                    materials.albedo[i],
+                    materials.roughness[i],
+                    materials.metallic,
+                    view,
+                    direction,
+                    light.spread,
+                    weighted,
                 )
-                by_albedo += diffuse * weighted
                 by_normal += normal_part
+                by_albedo += albedo_part
                 by_roughness += roughness_part
     gradient_out.albedo[i] = by_albedo
     gradient_out.roughness[i] = by_roughness

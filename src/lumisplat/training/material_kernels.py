@@ -7,7 +7,7 @@ import warp as wp
 
 from lumisplat.constants import ENVIRONMENT_CHUNK, SH_C0
 from lumisplat.device.camera.pixels import is_listed
-from lumisplat.device.material.microfacets import diffuse_factor, highlight_factor
+from lumisplat.device.material.microfacets import opaque_eval
 from lumisplat.device.math.color import encode_srgb
 from lumisplat.device.math.directions import flipped_to_front
 from lumisplat.device.structs.gradients import SplatGradient
@@ -18,13 +18,6 @@ wp.set_module_options({"enable_backward": False})
 
 CHUNK = wp.constant(ENVIRONMENT_CHUNK)
 SH_CONSTANT = wp.constant(wp.float32(SH_C0))
-
-
-@wp.func
-def widened_alpha(roughness: float, spread: float) -> float:
-    """Returns the GGX alpha of a roughness, widened so that highlights span neighbouring incident directions."""
-    alpha = roughness * roughness
-    return wp.sqrt(alpha * alpha + spread)
 
 
 @wp.func
@@ -47,20 +40,18 @@ def shade(
     """Computes the radiance towards the eye, and its display value as SH of degree 0. One thread per Gaussian."""
     i = start + wp.tid()
     normal = materials.normals[i]
+    albedo = materials.albedo[i]
     roughness = materials.roughness[i]
+    metallic = materials.metallic
     view = flipped_to_front(wp.normalize(eye - materials.means[i]), normal)
-    cos_view = wp.dot(normal, view)
-    wide = widened_alpha(roughness, light.spread)
-    diffuse = wp.vec3(0.0)
-    highlight = wp.vec3(0.0)
+    radiance = wp.vec3(0.0)
     for k in range(light.directions.shape[0]):
         direction = light.directions[k]
         cosine = wp.dot(normal, direction)
         if cosine > 0.0:
             arriving = (cosine * light.solid_angle) * incident_radiance(light, i, k)
-            diffuse += diffuse_factor(cos_view, cosine, roughness * roughness) * arriving
-            highlight += highlight_factor(normal, view, direction, wide) * arriving
-    radiance = wp.cw_mul(materials.albedo[i], diffuse) + highlight
+            reflected = opaque_eval(normal, albedo, roughness, metallic, view, direction, light.spread)
+            radiance += wp.cw_mul(reflected, arriving)
     radiance_out[i] = radiance
     shown = wp.vec3(
         encode_srgb(wp.min(radiance[0], 1.0)),
@@ -110,16 +101,14 @@ def differentiate_environment(
         given = by_radiance[i]
         if wp.dot(given, given) > 0.0:
             normal = materials.normals[i]
+            albedo = materials.albedo[i]
             roughness = materials.roughness[i]
+            metallic = materials.metallic
             view = flipped_to_front(wp.normalize(eye - materials.means[i]), normal)
-            cos_view = wp.dot(normal, view)
-            wide = widened_alpha(roughness, light.spread)
-            by_diffuse = wp.cw_mul(given, materials.albedo[i])
             for k in range(directions):
                 direction = light.directions[k]
                 cosine = wp.dot(normal, direction)
                 if cosine > 0.0:
                     share = cosine * light.solid_angle * light.open[i, k]
-                    by_environment = diffuse_factor(cos_view, cosine, roughness * roughness) * by_diffuse
-                    by_environment += highlight_factor(normal, view, direction, wide) * given
-                    by_environment_out[chunk, k] = by_environment_out[chunk, k] + share * by_environment
+                    reflected = opaque_eval(normal, albedo, roughness, metallic, view, direction, light.spread)
+                    by_environment_out[chunk, k] = by_environment_out[chunk, k] + share * wp.cw_mul(given, reflected)

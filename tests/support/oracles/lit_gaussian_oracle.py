@@ -22,6 +22,7 @@ class Lit:
     normals: Array
     albedo: Array
     roughness: Array
+    metallic: float
     directions: Array
     environment: Array
     open: Array
@@ -46,8 +47,13 @@ def _of_one(lit: Lit, i: int, view: Array) -> Array:
     above = cosines > 0.0
     light = (lit.open[i][:, None] * lit.environment + lit.seen[i])[above]
     weights = (cosines[above] * 4.0 * np.pi / len(lit.directions))[:, None]
-    matte = {"diffuse": lit.albedo[i], "dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": alpha}
-    shine = {"specular": [0.04] * 3, "grazing": 1.0, "alpha": np.sqrt(alpha**2 + lit.spread)}
+    metal = lit.metallic
+    matte = {"diffuse": (1.0 - metal) * lit.albedo[i], "dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": alpha}
+    shine = {
+        "specular": 0.04 * (1.0 - metal) + metal * lit.albedo[i],
+        "grazing": 1.0,
+        "alpha": np.sqrt(alpha**2 + lit.spread),
+    }
     light_directions = lit.directions[above]
     views, normals = np.broadcast_to(view, light_directions.shape), np.broadcast_to(normal, light_directions.shape)
     reflected = pbr_diffuse(matte, normals, views, light_directions) + pbr_specular(

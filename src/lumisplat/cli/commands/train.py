@@ -78,6 +78,8 @@ class Train(DeviceCommand):
     """Find albedo, roughness, normals and environment after training; sets loss weights unless one is given."""
     material_steps: Annotated[int | None, setting("N", "300")] = None
     """Refine the materials of --relightable in N steps."""
+    metal: Flag = False
+    """Take all surfaces for bare metal in --relightable, instead of plastic, stone or paint."""
     flatness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """Set the weight of the loss that flattens Gaussians; --relightable sets 0.3."""
     normals: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
@@ -120,6 +122,8 @@ class Train(DeviceCommand):
             raise ls.ConfigError("--relightable needs --pipeline raster and --projection ewa")
         if self.relightable and self.exposures:
             raise ls.ConfigError("--relightable needs images of equal exposure: leave out --exposures")
+        if self.metal and not self.relightable:
+            raise ls.ConfigError("--metal needs --relightable: other captures have no materials")
         if self.material_steps is not None and self.material_steps < 0:
             raise ls.ConfigError(f"--material-steps is {self.material_steps}, expected 0 or more")
         for made in (self._config, self._materials_config, self._seconds, self._checked_background):
@@ -218,7 +222,9 @@ class Train(DeviceCommand):
 
     def _materials_config(self) -> ls.config.MaterialsConfig:
         steps = {} if self.material_steps is None else {"iterations": self.material_steps}
-        return ls.config.MaterialsConfig(**steps, **({} if self.seed is None else {"seed": self.seed}))
+        return ls.config.MaterialsConfig(
+            metal=self.metal, **steps, **({} if self.seed is None else {"seed": self.seed})
+        )
 
     def _config(self) -> ls.TrainConfig:
         given = given_settings_of(self, ls.TrainConfig)

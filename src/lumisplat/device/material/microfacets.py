@@ -224,9 +224,10 @@ def sample_ggx_vndf(view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
     return wp.normalize(wp.vec3(alpha * cap[0], alpha * cap[1], wp.max(cap[2], 0.0)))
 
 
-# --- A rough dielectric of ior 1.5, with two scalar lobes ---
+# --- Rough, opaque surfaces of ior 1.5 ---
 #
-# It equals ``pbr_eval`` without metal, layers and transmission (docs/method/materials.md#metallic-roughness).
+# They equal ``pbr_eval`` without layers, transmission and energy compensation
+# (docs/method/materials.md#metallic-roughness).
 
 HEAD_ON = wp.constant(wp.float32(COAT_HEAD_ON))
 
@@ -247,38 +248,63 @@ def diffuse_factor(cos_view: float, cos_light: float, alpha: float) -> float:
 
 
 @wp.func
-def highlight_factor(normal: wp.vec3, view: wp.vec3, light: wp.vec3, alpha: float) -> float:
-    """Returns the BSDF of a rough dielectric's GGX highlight, F0 = 0.04, equal in all channels.
+def highlight_parts(normal: wp.vec3, view: wp.vec3, light: wp.vec3, alpha: float) -> wp.vec2:
+    """Returns the two parts of the BSDF of a GGX highlight: the first times F0, plus the second.
 
-    The light must be above the horizon.
+    F0 is the reflectance at normal incidence; at grazing incidence it rises to 1 (Schlick 1994). The light must be
+    above the horizon.
     """
     half = view + light
     x = wp.max(1.0 - 0.5 * wp.length(half), 0.0)
-    reflected = HEAD_ON + (1.0 - HEAD_ON) * x * x * x * x * x
+    rising = x * x * x * x * x
     masks = smith_g1(wp.dot(normal, view), alpha) * smith_g1(wp.dot(normal, light), alpha)
-    return reflected * ggx_d(normal, half, alpha) * masks
+    facets = ggx_d(normal, half, alpha) * masks
+    return wp.vec2((1.0 - rising) * facets, rising * facets)
 
 
 @wp.func
-def reflected_dot(
+def highlight_factor(normal: wp.vec3, view: wp.vec3, light: wp.vec3, alpha: float) -> float:
+    """Returns the BSDF of a rough dielectric's GGX highlight, F0 = 0.04, equal in all channels."""
+    parts = highlight_parts(normal, view, light, alpha)
+    return HEAD_ON * parts[0] + parts[1]
+
+
+@wp.func
+def opaque_eval(
     normal: wp.vec3,
+    color: wp.vec3,
     roughness: float,
+    metallic: float,
     view: wp.vec3,
     light: wp.vec3,
     spread: float,
-    by_diffuse: float,
-    by_highlight: float,
-) -> wp.float32:
-    """Returns ``cosine * (by_diffuse * diffuse BSDF + by_highlight * highlight BSDF)``, for Warp to differentiate.
+) -> wp.vec3:
+    """Evaluates the metallic-roughness BSDF, per steradian, without the cosine; light and view are above the horizon.
 
-    ``by_diffuse`` and ``by_highlight`` are derivatives of a loss. ``spread`` is added to the highlight's squared alpha.
-    The light must be above the horizon.
+    ``spread`` is added to the highlight's squared alpha.
     """
     alpha = roughness * roughness
+    cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
-    diffuse = diffuse_factor(wp.dot(normal, view), cos_light, alpha)
-    highlight = highlight_factor(normal, view, light, wp.sqrt(alpha * alpha + spread))
-    return cos_light * (by_diffuse * diffuse + by_highlight * highlight)
+    parts = highlight_parts(normal, view, light, wp.sqrt(alpha * alpha + spread))
+    head_on = wp.vec3((1.0 - metallic) * HEAD_ON) + metallic * color
+    diffuse = (1.0 - metallic) * diffuse_factor(cos_view, cos_light, alpha)
+    return diffuse * color + parts[0] * head_on + wp.vec3(parts[1])
+
+
+@wp.func
+def opaque_dot(
+    normal: wp.vec3,
+    color: wp.vec3,
+    roughness: float,
+    metallic: float,
+    view: wp.vec3,
+    light: wp.vec3,
+    spread: float,
+    weights: wp.vec3,
+) -> wp.float32:
+    """Returns the cosine times the dot product of ``weights`` and ``opaque_eval``, for Warp to differentiate."""
+    return wp.dot(normal, light) * wp.dot(weights, opaque_eval(normal, color, roughness, metallic, view, light, spread))
 
 
 # --- Rough dielectrics that transmit, and thin walls (docs/method/materials.md#rough-glass) ---
