@@ -79,20 +79,22 @@ def test_metals_and_their_environment_are_found_from_images(
     assert environment_psnr(metals.environment.image, truth) > 35.0
     assert environment_psnr(others.environment.image, truth) < 31.0
     assert metals.gaussians.albedo is not None and metals.gaussians.metallic is not None
-    ratios = np.log(metals.gaussians.albedo / albedo)
-    assert np.abs(ratios - np.median(ratios, axis=0)).mean() < 0.08
+    mean = metals.environment.image.mean(axis=(0, 1))
+    assert np.ptp(np.log(mean)) < 0.1  # grey by convention, as the true one nearly is
+    expected = albedo * truth.mean(axis=(0, 1)) / mean
+    assert np.abs(np.log(metals.gaussians.albedo / expected)).mean() < 0.1
     assert (metals.gaussians.metallic == 1.0).all() and others.gaussians.metallic is None
 
 
 def test_gaussians_that_no_view_shows_take_the_albedo_of_their_neighbours(
     made: tuple[ls.Gaussians, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One hemisphere is in no view; its captured colours, all white, do not count."""
-    monkeypatch.setattr(color_fit, "STEPS", 20)
-    capture, _ = made
+    """One hemisphere, half gold and half steel, is in no view; its captured colours, all light grey, do not count."""
+    monkeypatch.setattr(color_fit, "STEPS", 200)
+    capture, albedo = made
     hidden = capture.means[:, 0] > 0.1
     sh = np.where(hidden[:, None, None], 0.0, capture.sh).astype(np.float32)
-    sh[hidden, 0] = 9.0
+    sh[hidden, 0] = 0.4 / 0.28209479177387814
     capture = ls.Gaussians(capture.means, capture.rotations_wxyz, capture.scales, capture.opacities, sh)
     directions, eyes = even_directions(32), 5.0 * even_directions(8)
     light = np.ones((COUNT, 32), np.float32), np.zeros((COUNT, 32, 3), np.float32)
@@ -103,15 +105,16 @@ def test_gaussians_that_no_view_shows_take_the_albedo_of_their_neighbours(
         capture,
         IncidentRadiance(directions, *light),
         start,
-        color_fit.CapturedColors(eyes, weights.astype(np.float32)),
+        color_fit.CapturedColors(list(eyes), weights.astype(np.float32)),
         seed=0,
         device="cpu",
         threads=1,
         report=lambda label, fraction: None,
     )
-    sample = found.albedo[~hidden]
-    assert (found.albedo[hidden] > sample.min(axis=0)).all() and (found.albedo[hidden] < sample.max(axis=0)).all()
-    assert found.albedo[hidden].std(axis=0).max() < sample.std(axis=0).min()
+    is_gold = np.isclose(albedo, GOLD).all(axis=1)
+    hue = found.albedo[:, 0] / found.albedo[:, 2]
+    for rows in (hidden, ~hidden):
+        assert hue[rows & is_gold].mean() > 1.3 * hue[rows & ~is_gold].mean()
 
 
 @pytest.mark.parametrize(("count", "chosen"), [(1, [0]), (3, [0, 1, 2]), (47, list(range(0, 47, 2)))])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.training import find_materials
+from lumisplat.training import color_fit, find_materials
 from support.scenes.lit_sphere import ball, matte, write_training_images
 
 GREY = np.array([0.5, 0.4, 0.3])
@@ -72,7 +73,7 @@ def whole(capture: ls.Gaussians, folder: Path, tmp_path_factory: pytest.TempPath
 
 def assert_same(first: ls.inverse.FoundMaterials, second: ls.inverse.FoundMaterials) -> None:
     """Compares two results to the bit."""
-    for name in ("albedo", "roughness", "normals", "albedo_error", "roughness_error"):
+    for name in ("albedo", "roughness", "metallic", "normals", "albedo_error", "roughness_error"):
         np.testing.assert_array_equal(getattr(first.gaussians, name), getattr(second.gaussians, name), name)
     np.testing.assert_array_equal(first.environment.image, second.environment.image)  # pyright: ignore[reportArgumentType]
     assert (first.error, first.too_light) == (second.error, second.too_light)
@@ -104,6 +105,20 @@ def test_interrupted_material_search_resumes_to_the_same_bits(
     assert set(files_of(output)) == {"a.ply", "a.environment.exr", "a.training/materials.npz"}
     monkeypatch.setattr(find_materials.MaterialFit, "step", never)
     assert_same(found(capture, folder, output), whole)  # without a further iteration
+
+
+def test_interrupted_search_of_metals_resumes_to_the_same_bits(
+    capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Colours are not fitted again."""
+    metal = replace(CONFIG, metal=True)
+    monkeypatch.setattr(f"{__name__}.CONFIG", metal)
+    monkeypatch.setattr(color_fit, "STEPS", 5)
+    whole = found(capture, folder, None)
+    with pytest.raises(Killed):
+        found(capture, folder, tmp_path / "a.ply", dies_at=2)
+    monkeypatch.setattr(find_materials, "fit_colors", never)
+    assert_same(found(capture, folder, tmp_path / "a.ply"), whole)
 
 
 def test_material_search_resumed_without_its_incident_radiance_file_traces_it_again(

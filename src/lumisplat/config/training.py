@@ -185,7 +185,7 @@ class MaterialsConfig:
     """Number of directions in which light is traced and the environment is stored. Memory is about 40 bytes for each
     direction and Gaussian."""
     environment_steps: Annotated[int, Range(1, 100_000)] = 300
-    """Steps that estimate the environment, from the assumption that albedos are similar."""
+    """Steps that estimate the environment, from the assumption that albedos are similar; of dielectrics only."""
     iterations: Annotated[int, Range(0, 10_000_000)] = 300
     """Steps that refine materials and environment, each with one image."""
     roughness: Annotated[float, Range(0.1, 1.0)] = 0.5

@@ -16,6 +16,7 @@ from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.color import decode_slope, decode_srgb, encode_srgb
 from lumisplat.math.sh import sh_basis
 from lumisplat.progress import Progress
+from lumisplat.relighting.irradiance import ALBEDO_HIGH, LIGHTEST
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.gaussians import Gaussians
@@ -41,10 +42,10 @@ LOSS_WIDTH = 0.02
 """Display-referred difference below which the loss is quadratic; above, it is linear (Charbonnier)."""
 
 NEIGHBOURS = 6
-"""Number of Gaussians of the sample whose albedo a Gaussian takes, by inverse distance, if no view shows it."""
+"""Number of Gaussians of the sample towards whose albedo that of a Gaussian is drawn, by inverse distance."""
 
 DISTANCE_MIN = 1e-12
-"""Smallest distance, scene units, by which a neighbour is weighted: that of a Gaussian from itself."""
+"""Smallest distance, scene units, by which is divided: a Gaussian may be its own neighbour, or where a camera is."""
 
 CLIPPED_MIN = 0.98
 """Display value from which a captured colour counts as clipped at white."""
@@ -57,15 +58,16 @@ ALBEDO_PULL = 0.05
 class CapturedColors:
     """Views from which colours of N Gaussians are taken, and how much of each Gaussian they show."""
 
-    eyes: Doubles
-    """Eye points of V views, world space, shape (V, 3)."""
+    eyes: Sequence[Doubles]
+    """Eye points of V views, world space, each of shape (3,)."""
     weights: FloatArray
     """Blending weights of N Gaussians summed over the pixels of V images, shape (V, N)."""
 
     def shown(self, gaussians: Gaussians, view: int, rows: Rows | slice) -> Doubles:
         """Returns the display-referred colours, 0..1, of rows of the Gaussians towards a view, shape (R, 3)."""
         away = gaussians.means[rows] - self.eyes[view]
-        basis = sh_basis(away / np.linalg.norm(away, axis=1, keepdims=True), gaussians.sh_degree)
+        distances = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), DISTANCE_MIN)
+        basis = sh_basis(away / distances, gaussians.sh_degree)
         return np.clip(np.einsum("nk,nkc->nc", basis, gaussians.sh[rows]) + 0.5, 0.0, 1.0)
 
 
@@ -88,7 +90,8 @@ def fit_colors(
     """Returns metals with albedos, and the environment, that explain the captured colours of N Gaussians.
 
     Albedo and environment are optimised together for a sample of Gaussians, drawn in proportion to their blending
-    weights. The others get the albedo whose radiance is closest to their own colours. Roughness and normals stay.
+    weights. The environment is then scaled to be grey on average, and the lightest metals to an albedo of 0.8. At last,
+    every Gaussian gets the albedo whose radiance is closest to its own colours. Roughness and normals stay.
 
     Args:
         gaussians: The capture.
@@ -110,8 +113,13 @@ def fit_colors(
     distances, near = cKDTree(gaussians.means[rows]).query(gaussians.means, k=range(1, min(NEIGHBOURS, size) + 1))
     shares = 1.0 / np.maximum(distances, DISTANCE_MIN)
     shares /= shares.sum(axis=1, keepdims=True)
-    near_albedo = np.einsum("nk,nkc->nc", shares, sample.albedo[near])
-    spread = replace(start, albedo=near_albedo, environment=sample.environment)
+    factor = np.exp(np.log(start.environment).mean(axis=0) - np.log(sample.environment).mean(axis=0))
+    factor *= np.quantile((sample.albedo / factor).max(axis=1), LIGHTEST) / ALBEDO_HIGH
+    spread = replace(
+        start,
+        albedo=np.einsum("nk,nkc->nc", shares, sample.albedo[near] / factor),
+        environment=sample.environment * factor,
+    )
     return replace(spread, albedo=fit.albedo(spread))
 
 
@@ -167,7 +175,8 @@ class _ColorFit:
             weights = self.colors.weights[view][:, None] * (shown < CLIPPED_MIN)
             above += weights * rise * (decode_srgb(shown) - least)
             below += weights * rise * rise
-        pull = ALBEDO_PULL * np.median(below[below > 0.0])
+        lit_parts = below[below > 0.0]
+        pull = ALBEDO_PULL * np.median(lit_parts) if lit_parts.size else 1.0
         return np.maximum((above + pull * materials.albedo) / (below + pull), 0.0)
 
     def _lit(self, rows: Rows | slice) -> tuple[LitGaussians, DeviceArray]:

@@ -32,7 +32,7 @@ from lumisplat.math.color import albedo_in_range, decode_srgb
 from lumisplat.math.sh import even_directions
 from lumisplat.progress import Progress, no_progress
 from lumisplat.relighting.incident import neighbours_of
-from lumisplat.relighting.irradiance import mean_outgoing
+from lumisplat.relighting.irradiance import constant_radiance, mean_outgoing
 from lumisplat.relighting.material_errors import AlbedoErrors, roughness_error
 from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import Renderer, create_renderer
@@ -91,7 +91,7 @@ class FoundMaterials:
 
     gaussians: Gaussians
     """Input Gaussians in their order with ``albedo``, ``roughness``, ``normals``, ``albedo_error`` and
-    ``roughness_error``; the captured colours are unchanged."""
+    ``roughness_error``, and for metals ``metallic`` 1; the captured colours are unchanged."""
     environment: LightEnvironment
     """Environment around the capture, 16 x 32 pixels in world space, in units of display white."""
     error: float
@@ -232,17 +232,19 @@ class _Search:
         directions = even_directions(config.directions)
         incident = self._incident(normals)
         white, outgoing = incident.irradiance(normals), mean_outgoing(gaussians, normals)
-        rng = np.random.default_rng([config.seed, 8])
-        environment = fit_environment(
-            outgoing, white, weights, directions, steps=config.environment_steps, rng=rng, report=self._progress
-        )
-        albedo = outgoing / white_radiance(white, environment)
-        too_light = float(np.average(albedo.max(axis=1) > 1.0, weights=weights))
         roughness = np.full(gaussians.count, config.roughness)
-        start = Materials(albedo_in_range(albedo), roughness, normals, environment)
         if config.metal:
+            constant = np.full((len(directions), 3), constant_radiance(outgoing, white, weights))
+            start = Materials(np.full((gaussians.count, 3), METAL_ALBEDO), roughness, normals, constant)
             start = self._metals(start, incident, colors)
-        state = SearchState(start, too_light)
+        else:
+            rng = np.random.default_rng([config.seed, 8])
+            environment = fit_environment(
+                outgoing, white, weights, directions, steps=config.environment_steps, rng=rng, report=self._progress
+            )
+            start = Materials(outgoing / white_radiance(white, environment), roughness, normals, environment)
+        too_light = float(np.average(start.albedo.max(axis=1) > 1.0, weights=weights))
+        state = SearchState(replace(start, albedo=albedo_in_range(start.albedo)), too_light)
         if self._files is not None:
             if config.iterations:
                 self._files.write_incident(incident)
@@ -250,17 +252,8 @@ class _Search:
         return state, incident
 
     def _metals(self, start: Materials, incident: IncidentRadiance, colors: CapturedColors) -> Materials:
-        """Returns materials of metals, and the environment that they reflect, found from the captured colours.
-
-        The environment under which albedos of matt surfaces agree says nothing of metals: the fit starts from its mean.
-        """
-        mean = np.exp(np.log(start.environment).mean(axis=0))
-        start = replace(
-            start,
-            albedo=np.full_like(start.albedo, METAL_ALBEDO),
-            environment=np.tile(mean, (len(start.environment), 1)),
-        )
-        found = fit_colors(
+        """Returns the metals and the environment that explain the captured colours, found from a constant one."""
+        return fit_colors(
             self._gaussians,
             incident,
             start,
@@ -270,18 +263,17 @@ class _Search:
             threads=self._threads,
             report=self._progress,
         )
-        return replace(found, albedo=albedo_in_range(found.albedo))
 
     def _surfaces(self, renderer: DifferentiableRenderer) -> tuple[Doubles, Doubles, CapturedColors]:
-        """Returns each Gaussian's normal, its blending weight in all images, and views of its captured colours."""
+        """Returns each Gaussian's normal, its blending weight in all images, and, of metals, views of its colours."""
         cameras = [view.camera for view in self._views]
-        kept = chosen_views(len(cameras))
+        kept: Sequence[int] = chosen_views(len(cameras)) if self._config.metal else ()
         normals, weights, by_view = rendered_normals(self._gaussians, cameras, renderer, self._progress, kept=kept)
-        if not weights.any():
+        if not (by_view if kept else weights).any():
             raise SceneError(
                 "no image shows the capture: expected images of the same scene with poses in the same coordinates"
             )
-        return normals, weights, CapturedColors(np.array([cameras[index].eye for index in kept]), by_view)
+        return normals, weights, CapturedColors([cameras[index].eye for index in kept], by_view)
 
     def _warn_of_exposures(self, renderer: DifferentiableRenderer) -> None:
         """Logs a warning if the brightness of the images varies by more than `EXPOSURE_SPREAD_MAX`."""

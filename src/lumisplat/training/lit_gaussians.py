@@ -248,9 +248,8 @@ def rendered_normals(
         Normals in world space, shape (N, 3); blending weights summed over all pixels of all cameras, shape (N,), and of
         the kept cameras, shape (K, N).
     """
-    by_camera = dict.fromkeys(kept, np.zeros(0, np.float32))
     sums, towards = np.zeros((gaussians.count, 3)), np.zeros((gaussians.count, 3))
-    weights = np.zeros(gaussians.count)
+    weights, kept_weights = np.zeros(gaussians.count), np.zeros((len(kept), gaussians.count), np.float32)
     for number, camera in enumerate(cameras):
         report("finding normals", number / len(cameras))
         frame = renderer.render(Scene([gaussians]), camera)
@@ -262,14 +261,13 @@ def rendered_normals(
         assert found.features is not None
         sums += found.features
         weights += found.weights
-        if number in by_camera:
-            by_camera[number] = found.weights.astype(np.float32)
+        if number in kept:
+            kept_weights[kept.index(number)] = found.weights
         towards += (found.weights / np.linalg.norm(to_camera, axis=1))[:, None] * to_camera
     axes = shortest_axes(gaussians)
     axes *= np.where((axes * towards).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
     length = np.linalg.norm(sums, axis=1, keepdims=True)
-    stacked = np.stack(list(by_camera.values())) if kept else np.zeros((0, gaussians.count), np.float32)
-    return np.where(length > 1e-6, sums / np.maximum(length, 1e-6), axes), weights, stacked
+    return np.where(length > 1e-6, sums / np.maximum(length, 1e-6), axes), weights, kept_weights
 
 
 def surface_normals(camera: Camera, depth: FloatArray, alpha: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ ENVIRONMENT_NEIGHBOURS = 6
 
 _ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
 _LOGIT_MAX = 7.0
-STATE_KEYS = ("albedo", "roughness", "sky")
+_STATE_KEYS = ("albedo", "roughness", "sky")
 """Names of the optimised arrays in `MaterialParameters.state` and in state files."""
 
 
@@ -73,10 +73,10 @@ class MaterialParameters:
 
     def restore(self, state: Mapping[str, Doubles], steps: int) -> None:
         """Continues from a stored ``state`` of the same Gaussians after a number of steps."""
-        self._values = {name: state[name].copy() for name in STATE_KEYS}
+        self._values = {name: state[name].copy() for name in _STATE_KEYS}
         self._moments = {
             name: Adam(state[f"{name}.first"].copy(), state[f"{name}.second"].copy(), np.array(float(steps)))
-            for name in STATE_KEYS
+            for name in _STATE_KEYS
         }
 
     def step(self, gradient: Materials, rates: MaterialRates) -> None:
