@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.relighting import delight as steps, incident
-from lumisplat.relighting.albedo_fit import AlbedoPairFit, EnvironmentCells, Light, initial_light
+from lumisplat.relighting.albedo_fit import CHROMA_WIDTH, AlbedoPairFit, EnvironmentCells, Light, initial_light
 from lumisplat.relighting.capture_measures import measure_surface
 from lumisplat.relighting.delight import MaterialEstimate, _costs, emitters_of, is_white
 from lumisplat.relighting.incident import IncidentRays, Smoother, SurfacePoints, agreed_sides, neighbours_of
@@ -178,7 +178,7 @@ def test_delight_recovers_light_from_pairs_of_gaussians_with_similar_albedo() ->
     outgoing = albedo * incident.total(true.environment, true.emitters)
     rng = np.random.default_rng(0)
     pairs = np.concatenate([rng.integers(0, 450, (6000, 2)), rng.integers(450, 900, (6000, 2))])
-    fit = AlbedoPairFit(outgoing, incident, pairs, cells)
+    fit = AlbedoPairFit(outgoing, incident, pairs, np.full(len(pairs), CHROMA_WIDTH), cells)
     light = fit.solved(initial_light(outgoing, incident))
     found = outgoing / incident.total(light.environment, light.emitters)
     ratio = found / albedo
@@ -203,6 +203,22 @@ def test_delight_recovers_albedo_in_a_constant_environment_up_to_one_factor(
     ratio = np.asarray(found.gaussians.albedo) / albedo
     assert np.percentile(np.abs(ratio / np.median(ratio, axis=0) - 1.0), 95) < 0.05
     assert np.allclose(found.environment_image().mean(axis=(0, 1)), found.environment.mean(axis=0), rtol=0.2)
+
+
+def test_delight_finds_light_whose_colour_changes_with_the_direction() -> None:
+    """Blue light from above and orange light from below leave less than a fifth of their hue in the albedo."""
+    plain = ls.gaussians_from_mesh(ls.sphere(1.0), 300)
+    bands = np.sin(6.0 * plain.means[:, 1]) > 0.0
+    albedo = np.where(bands[:, None], (0.8, 0.5, 0.3), (0.4, 0.25, 0.15))
+    up = 0.5 + 0.5 * np.asarray(plain.normals, np.float64)[:, 1:2]
+    light = up * (0.2, 0.5, 1.0) + (1.0 - up) * (1.0, 0.5, 0.15)
+    captured = colored(plain, albedo * light)
+    found = np.asarray(ls.delight(captured, ls.config.DelightConfig(cells=6, matt=True), device="cpu").albedo)
+
+    def hue(values: np.ndarray) -> float:
+        return float(np.std(np.log(values[:, 2] / values[:, 0])))
+
+    assert hue(found / albedo) < 0.2 * hue(light)
 
 
 def test_delight_removes_the_shading_of_a_ball_lit_from_above(ball: tuple[ls.Gaussians, np.ndarray]) -> None:

@@ -30,9 +30,10 @@ RANDOM_PAIR_SHARE = 0.25
 """Ratio of random pairs of Gaussians to pairs of neighbours in the albedo fit. Random pairs are fewer, because distant
 surfaces of similar chromaticity have one albedo less often than neighbours do."""
 
-CHROMA_WIDTH = 0.03
-"""Standard deviation assumed for the difference in chromaticity, natural logarithms of channels, between two Gaussians
-with the same albedo."""
+NEAR_CHROMA_WIDTH, CHROMA_WIDTH = 0.1, 0.03
+"""Standard deviations assumed for the difference in chromaticity, natural logarithms of channels, between two Gaussians
+with the same albedo: neighbours, and any two. Neighbours more often share an albedo, so that their difference may be
+the colour of a light that the fit has not found yet."""
 
 EDGE_WIDTHS = (0.2, 0.1)
 """Widths of the Cauchy weight on the difference of a pair's albedos, in natural logarithms: for the first and for the
@@ -156,6 +157,8 @@ class AlbedoPairFit:
     emitter."""
     pairs: Rows
     """Indices of the P pairs of Gaussians whose albedos are compared, shape (P, 2)."""
+    chroma_widths: Doubles
+    """Standard deviation assumed for the difference in chromaticity of each pair with one albedo, shape (P,)."""
     cells: EnvironmentCells
     """The K environment cells whose radiances are fitted."""
 
@@ -204,7 +207,7 @@ class AlbedoPairFit:
             differences: Differences of the natural logarithms of the pairs' albedos, shape (P, 3).
             width: Width of the Cauchy weight, natural logarithm of albedo.
         """
-        alike = chroma_similarity(differences, CHROMA_WIDTH) / len(differences)
+        alike = chroma_similarity(differences, self.chroma_widths[:, None]) / len(differences)
         return alike / (1.0 + (differences / width) ** 2)
 
     def _prior(self) -> Doubles:
@@ -285,17 +288,20 @@ def with_typical_albedos(light: Light, outgoing: Doubles, incident: Irradiance) 
     return Light(factor * light.environment, factor * light.emitters)
 
 
-def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> Rows:
-    """Chooses P pairs of Gaussians whose albedos are compared: neighbours, then random ones, shape (P, 2).
+def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> tuple[Rows, Doubles]:
+    """Chooses P pairs of Gaussians whose albedos are compared: neighbours, then random ones.
 
     Args:
         near: Pairs of neighbours, in both orders.
         reflects: Indices of the Gaussians that may be compared.
         count: Largest number of pairs of neighbours.
         rng: Random generator.
+
+    Returns:
+        Indices of the pairs, shape (P, 2), and their `AlbedoPairFit.chroma_widths`, shape (P,).
     """
     beside = np.stack([near.first, near.second], axis=1)[near.first < near.second]
     beside = rng.permutation(beside[np.isin(beside, reflects).all(axis=1)])[:count]
-    return np.concatenate(
-        [beside, rng.choice(reflects, (max(int(RANDOM_PAIR_SHARE * len(beside)), RANDOM_PAIRS_MIN), 2))]
-    )
+    far = rng.choice(reflects, (max(int(RANDOM_PAIR_SHARE * len(beside)), RANDOM_PAIRS_MIN), 2))
+    widths = np.repeat([NEAR_CHROMA_WIDTH, CHROMA_WIDTH], [len(beside), len(far)])
+    return np.concatenate([beside, far]), widths

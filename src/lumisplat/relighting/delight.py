@@ -278,14 +278,14 @@ class _Delighter:
         incident = self.rays.incident(smoother, normals, emitters, cells, stores_directions=shines)
         if inside:  # rays that escape a room pass gaps between Gaussians
             cells, incident = cells.of(np.empty(0, int)), replace(incident, environment=incident.environment[:, :0])
-        pairs = albedo_pairs(near, np.flatnonzero(~white), PAIRS, np.random.default_rng([self.config.seed, 5]))
+        pairs, widths = albedo_pairs(near, np.flatnonzero(~white), PAIRS, np.random.default_rng([self.config.seed, 5]))
         self.pace.begin(_LIGHT)
-        light = AlbedoPairFit(outgoing, incident, pairs, cells).solved(initial_light(outgoing, incident))
+        light = AlbedoPairFit(outgoing, incident, pairs, widths, cells).solved(initial_light(outgoing, incident))
         for tracing, finding in () if inside else _BRIGHT:
             self.pace.begin(tracing)
             cells, incident, light = self._finer(normals, smoother, cells, incident, light)
             self.pace.begin(finding)
-            light = AlbedoPairFit(outgoing, incident, pairs, cells).solved(light)
+            light = AlbedoPairFit(outgoing, incident, pairs, widths, cells).solved(light)
         if not inside:
             light = with_typical_albedos(light, outgoing, incident)
         lobes = Lobes.of(self.gaussians.sh_degree)

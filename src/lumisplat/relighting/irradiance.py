@@ -172,12 +172,13 @@ def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles)
     return max(weighted_quantile(wanted, weights[rows], LIGHTEST), UNSEEN_RADIANCE_MIN)
 
 
-def chroma_similarity(differences: Doubles, width: float) -> Doubles:
+def chroma_similarity(differences: Doubles, width: float | Doubles) -> Doubles:
     """Returns for P pairs the likelihood, 0..1, that both surfaces have one albedo, by chromaticity, shape (P, 1).
 
     Args:
         differences: Differences of the logarithms of the pairs' albedos, shape (P, 3).
-        width: Standard deviation, natural logarithm, of the largest deviation of a channel from the channels' mean.
+        width: Standard deviation, natural logarithm, of the largest deviation of a channel from the channels' mean: one
+            number, or shape (P, 1).
     """
     chroma = differences - differences.mean(axis=1, keepdims=True)
     return np.exp(-0.5 * np.square(np.abs(chroma).max(axis=1, keepdims=True) / width))
