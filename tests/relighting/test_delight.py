@@ -571,7 +571,7 @@ def test_remarks_of_delight_count_impossible_albedos_and_unexplained_colours(
     ball: tuple[ls.Gaussians, np.ndarray],
 ) -> None:
     """Each remark reports the fraction of the Gaussians that is affected."""
-    plain, _ = ball
+    plain = replace(ball[0], scales=np.full((ball[0].count, 3), 0.05, np.float32))
     n = plain.count
     half = np.arange(n) < n // 2
     rough = np.where(half, 0.5, 0.8).astype(np.float32)
@@ -589,7 +589,11 @@ def test_remarks_of_delight_count_impossible_albedos_and_unexplained_colours(
     assert "25.0% of the Gaussians are clipped at display white" in text
     assert "20.0% of the Gaussians are darker in a channel than their specular reflection" in text
     assert "highlights determine the roughness of 50% of the Gaussians" in text
-    assert "of nine tenths within 1.82" in text
+    assert "albedo of 50% of the surface is within a factor of 1.5" in text and "train --relightable" not in text
+    faint = replace(estimate.gaussians, opacities=np.where(half, 1e-3, 1.0).astype(np.float32))
+    (line,) = (line for line in replace(estimate, gaussians=faint).remarks if line.startswith("albedo of"))
+    assert line.startswith("albedo of 0% of the surface") and "of half of it within 1.82" in line
+    assert line.endswith("lumisplat train --relightable")
     unknown = replace(estimate.gaussians, roughness=np.full(n, 0.8))
     unsure = "\n".join(replace(estimate, gaussians=unknown).remarks)
     assert "roughness is 0.8 everywhere" in unsure

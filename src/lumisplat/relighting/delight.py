@@ -18,7 +18,7 @@ from lumisplat.config.checks import check_kind
 from lumisplat.constants import GAUSSIANS_LEAST, RADIANCE_LEAST, SURFACE_OPACITY_MIN
 from lumisplat.errors import SceneError
 from lumisplat.io.images.radiance import write_radiance
-from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_view
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_view, weighted_quantile
 from lumisplat.math.color import albedo_in_range
 from lumisplat.math.directions import panorama_directions
 from lumisplat.math.transforms import rotation_matrix
@@ -76,6 +76,10 @@ kept entirely from twice this value on."""
 MATT_LEAST = 0.2
 """Lower bound of the diffuse reflectance that is left when a Gaussian's specular reflection is subtracted, as a
 fraction of its total reflectance."""
+
+ALBEDO_KNOWN, LITTLE_KNOWN = 1.5, 0.1
+"""`MaterialEstimate.remarks` reports how much of the surface has an albedo within the first, a factor, and advises to
+find materials from images if it is less than the second, a fraction."""
 
 ROUGHNESS_KNOWN = 0.2
 """Largest ``roughness_error`` at which `MaterialEstimate.remarks` counts the roughness of a Gaussian as known."""
@@ -506,10 +510,13 @@ class MaterialEstimate:
             lines.append(f"radiances of emitters, relative to display white: {brightness}")
         found = self.gaussians
         if found.albedo_error is not None:
-            half, most = np.exp(np.quantile(found.albedo_error, (0.5, 0.9)))
+            shown = np.sort(found.scales.astype(np.float64), axis=1)[:, 1:].prod(axis=1) * found.opacities
+            known = float(np.average(np.exp(found.albedo_error) <= ALBEDO_KNOWN, weights=shown))
+            half = np.exp(weighted_quantile(found.albedo_error.astype(np.float64), shown, 0.5))
             lines.append(
-                f"albedo of half of the Gaussians is within a factor of {half:.2f}, of nine tenths within {most:.2f} "
-                "(90 % intervals)"
+                f"albedo of {known:.0%} of the surface is within a factor of {ALBEDO_KNOWN}, of half of it within "
+                f"{half:.2f} (90 % intervals)"
+                + ("; images determine more: lumisplat train --relightable" if known < LITTLE_KNOWN else "")
             )
         if found.roughness is not None and (found.roughness != np.float32(ROUGHNESS_UNKNOWN)).any():
             share = 0.0 if found.roughness_error is None else float((found.roughness_error <= ROUGHNESS_KNOWN).mean())
