@@ -100,6 +100,20 @@ def test_normal_side_known_for_one_gaussian_spreads_over_its_plane_and_no_furthe
     assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
 
 
+def test_normals_of_a_translucent_ball_point_outwards_and_of_the_floor_below_upwards() -> None:
+    """Rays from inside the ball pass its wall by a fifth; of those from the floor, more leave below than above it."""
+    ball, floor = ls.gaussians_from_mesh(ls.sphere(1.0), 500), ls.gaussians_from_mesh(ls.plane(6.0), 500)
+    floor = replace(floor, means=floor.means - np.float32((0.0, 1.5, 0.0)))
+    capture = ls.merge([replace(ball, opacities=np.full(ball.count, 0.3, np.float32)), floor])
+    true = np.asarray(capture.normals, np.float64)
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
+    rays = IncidentRays(capture, RNG.choice((-1.0, 1.0), (capture.count, 1)) * true, renderer, 0)
+    found, _ = rays.facing(neighbours_of(capture), False, has_normals=False)
+    right = np.einsum("ij,ij->i", found, true) > 0.0
+    assert right[: ball.count].mean() > 0.99
+    assert right[ball.count :].mean() > 0.99
+
+
 def test_delight_gives_all_normals_of_a_free_standing_sheet_the_same_side() -> None:
     """Both sides of the sheet are open, and a third of the Gaussians' axes point the other way."""
     sheet = ls.gaussians_from_mesh(ls.plane(2.0), 120)

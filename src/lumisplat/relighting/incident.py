@@ -136,9 +136,13 @@ OPENNESS_MIN = 0.1
 walls let 2 to 6 % of the rays through. The fraction is smaller on both sides of 36 to 63 % of the Gaussians in captured
 rooms, and of at most 0.2 % in captured objects."""
 
-OPENNESS_ENOUGH = 0.2
-"""Fraction of escaping rays at which a side is surely open: a larger fraction does not make the side likelier to be
-the visible one.
+ESCAPED = 0.9
+"""Transmittance above which a ray counts as escaped when sides are compared. Translucent Gaussians of trained captures
+let a tenth to a half of each ray pass from inside an object to the outside, and that must not make the inside open."""
+
+ESCAPED_ENOUGH = 0.2
+"""Fraction of escaped rays at which a side is surely open: a larger fraction does not make the side likelier to be the
+visible one.
 """
 
 SIDE_FAR = 0.02
@@ -283,12 +287,13 @@ class IncidentRays:
             has_normals: Whether the axes are normals that came with the capture; such axes are returned unchanged.
         """
         axes, rows = self._axes, self._order
-        openness, distance, weights = np.zeros((3, 2, len(axes)))
+        openness, escaped, distance, weights = np.zeros((4, 2, len(axes)))
         for direction in even_directions(SIDE_DIRECTIONS):
             cosines = axes[rows] @ direction
             side, cosines = (cosines < 0.0).astype(int), np.abs(cosines)  # grazing rays get small weights
             hits = self._trace(rows, np.tile(direction, (len(axes), 1)))
             openness[side, rows] += cosines * hits.transmittance
+            escaped[side, rows] += cosines * (hits.transmittance > ESCAPED)
             distance[side, rows] += cosines * np.where(
                 np.isfinite(hits.depth), np.minimum(hits.depth, self._extent), 0.0
             )
@@ -304,7 +309,7 @@ class IncidentRays:
         more = content[0] - content[1]
         votes = more / (np.abs(more) + CONTENT_SCALE)
         if not inside:
-            clipped = np.minimum(openness / OPENNESS_ENOUGH, 1.0)
+            clipped = np.minimum(escaped / np.maximum(weights, 1e-6) / ESCAPED_ENOUGH, 1.0)
             by_openness = clipped[0] - clipped[1]
             votes = by_openness + (1.0 - np.abs(by_openness)) * votes
         return agreed_sides(axes, votes, near)[:, None] * axes, inside
