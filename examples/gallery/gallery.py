@@ -18,6 +18,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 import lumisplat as ls
+from lumisplat.math.color import encode_srgb
 
 Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 """The captures have y down; the pictures have y up."""
@@ -305,6 +306,40 @@ def flight(captures: Captures, width: int, time: float = 0.5) -> Shot:
     return scene, camera(eye, (0.0, 0.45, 0.0), 0.62, width, exposure=0.9)
 
 
+DELIGHTED: dict[str, tuple[str, tuple[float, float, float], tuple[float, float, float], float, float]] = {
+    "biker": ("biker.spz", (-4.6, 1.9, 0.0), (0.0, 1.62, 0.05), 0.72, 50.0),
+    "robot": ("playbot/2_0/meta.json", (1.0, 0.33, 2.45), (0.02, 0.45, 0.0), 0.5, 14.0),
+    "fur": ("logo_sog/meta.json", (1.0, 2.2, 5.0), (0.0, 1.25, 0.0), 0.62, 60.0),
+}
+"""File, eye, target, vertical field of view and candela of the lamp for each row of the sheet `delighted`."""
+
+
+def delighted(captures: Captures, width: int) -> Image.Image:
+    """Returns rows of three captures as captured, their albedo, and relit by a lamp on the left and on the right."""
+    rows: list[np.ndarray] = []
+    for name, eye, target, fov, candela in DELIGHTED.values():
+        capture = ls.load(captures.data / "splats" / name)
+        assert isinstance(capture, ls.Gaussians)
+        capture = ls.editing.decimate(capture, 60_000) if name == "logo_sog/meta.json" else capture
+        found = ls.delight(capture, ls.config.DelightConfig(cells=8, matt=True))
+        assert found.albedo is not None
+        paint = encode_srgb(found.albedo)
+        painted = replace(capture, sh=((paint - 0.5) / 0.28209479)[:, None].astype(np.float32))
+        view = ls.Camera.look_at(eye, target, width=width // 4, height=width // 4, fov_y=fov)
+        plain = ls.RenderConfig(lighting=False, background=(0.2, 0.2, 0.2))
+        images = [ls.render(ls.Scene([ls.SplatInstance(one, Y_UP)]), view, plain) for one in (capture, painted)]
+        matt = ls.SplatInstance(found, Y_UP, material=ls.MaterialPbr(specular=0.0))
+        away = np.subtract(eye, target)
+        for side in (-0.6, 0.6):
+            lamp = np.add(
+                target, 0.5 * away + side * np.cross((0.0, 1.0, 0.0), away) + (0.0, 0.35 * np.hypot(*away[::2]), 0.0)
+            )
+            scene = ls.Scene([matt], lights=[ls.LightPoint(tuple(lamp), intensity=candela)])
+            images.append(ls.render(scene, view, ls.RenderConfig(background=(0.2, 0.2, 0.2))))
+        rows.append(np.concatenate([frame.pixels_srgb()[..., :3] for frame in images], axis=1))
+    return Image.fromarray((255.0 * np.concatenate(rows) + 0.5).astype(np.uint8))
+
+
 PICTURES: dict[str, Callable[[Captures, int], Shot]] = {
     one.__name__: one for one in (sunset, day, cow, lake, biker, fur, tinted, statue)
 }
@@ -348,7 +383,7 @@ def main() -> None:
     """Renders one picture or video."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parser.add_argument("name", choices=[*PICTURES, *VIDEOS])
+    parser.add_argument("name", choices=[*PICTURES, *VIDEOS, "delighted"])
     parser.add_argument(
         "--environments", type=Path, default=Path("hdri"), help="folder of environment maps (environments.py)"
     )
@@ -360,6 +395,9 @@ def main() -> None:
 
     captures = Captures(options.data, options.environments)
     options.output.parent.mkdir(parents=True, exist_ok=True)
+    if options.name == "delighted":
+        delighted(captures, options.width).save(options.output, quality=85)
+        return
     if options.name in PICTURES:
         shot, strength = PICTURES[options.name](captures, options.width), COLOR_STRENGTHS.get(options.name, 0.0)
         image = develop(shot, options.samples, lit=not options.unlit, color_strength=strength)

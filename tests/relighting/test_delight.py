@@ -103,7 +103,7 @@ def test_normal_side_known_for_one_gaussian_spreads_over_its_plane_and_no_furthe
 def test_normals_of_a_translucent_ball_point_outwards_and_of_the_floor_below_upwards() -> None:
     """Rays from inside the ball pass its wall by a fifth; of those from the floor, more leave below than above it."""
     ball, floor = ls.gaussians_from_mesh(ls.sphere(1.0), 500), ls.gaussians_from_mesh(ls.plane(6.0), 500)
-    floor = replace(floor, means=floor.means - np.float32((0.0, 1.5, 0.0)))
+    floor = replace(floor, means=floor.means - np.array((0.0, 1.5, 0.0), np.float32))
     capture = ls.merge([replace(ball, opacities=np.full(ball.count, 0.3, np.float32)), floor])
     true = np.asarray(capture.normals, np.float64)
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
