@@ -177,9 +177,10 @@ def materials(setting: Setting) -> Iterator[Finding]:
     """Finds the materials of a small ball from images of it, and compares the albedo with the CPU's."""
     painted = painted_ball()
     plain = replace(painted, albedo=None, roughness=None, normals=None)
-    small = {"directions": 32, "environment_steps": 10, "iterations": 10} if setting.device == "cpu" else {}
     size = 32 if setting.device == "cpu" else 128
-    config = ls.config.MaterialsConfig(**small)
+    config = ls.config.MaterialsConfig()
+    if setting.device == "cpu":
+        config = replace(config, directions=32, environment_steps=10, iterations=10)
     with tempfile.TemporaryDirectory() as folder:
         write_views(Path(folder), painted, size, size, setting.device)
         images = ls.io.load_training_images(folder, background="black")
