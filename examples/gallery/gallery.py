@@ -18,6 +18,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 import lumisplat as ls
+from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
 
 Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -324,7 +325,7 @@ def delighted(captures: Captures, width: int) -> Image.Image:
         found = ls.delight(capture, ls.config.DelightConfig(cells=8, matt=True))
         assert found.albedo is not None
         paint = encode_srgb(found.albedo)
-        painted = replace(capture, sh=((paint - 0.5) / 0.28209479)[:, None].astype(np.float32))
+        painted = replace(capture, sh=((paint - 0.5) / SH_C0)[:, None].astype(np.float32))
         view = ls.Camera.look_at(eye, target, width=width // 4, height=width // 4, fov_y=fov)
         plain = ls.RenderConfig(lighting=False, background=(0.2, 0.2, 0.2))
         images = [ls.render(ls.Scene([ls.SplatInstance(one, Y_UP)]), view, plain) for one in (capture, painted)]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import even_directions, sh_basis
@@ -94,7 +95,7 @@ def test_gaussians_that_no_view_shows_take_the_albedo_of_their_neighbours(
     capture, albedo = made
     hidden = capture.means[:, 0] > 0.1
     sh = np.where(hidden[:, None, None], 0.0, capture.sh).astype(np.float32)
-    sh[hidden, 0] = 0.4 / 0.28209479177387814
+    sh[hidden, 0] = 0.4 / SH_C0
     capture = ls.Gaussians(capture.means, capture.rotations_wxyz, capture.scales, capture.opacities, sh)
     directions, eyes = even_directions(32), 5.0 * even_directions(8)
     light = np.ones((COUNT, 32), np.float32), np.zeros((COUNT, 32, 3), np.float32)
