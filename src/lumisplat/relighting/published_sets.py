@@ -43,7 +43,7 @@ SYNTHETIC4RELIGHT_LIGHTS = ("envmap6", "envmap12")
 ORB_SIZE = 512
 """Width and height, pixels, at which Stanford-ORB compares images; its files have 2048."""
 
-_Z_UP = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+Z_UP = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """World-from-environment rotation of panoramas as Blender has them: z up, and +x in the middle column."""
 
 
@@ -126,7 +126,7 @@ def open_tensoir(folder: Path, lights: Path | None) -> PublishedSet:
         for name in TENSOIR_LIGHTS if lights is not None else ():
             assert lights is not None
             image = existing(place / f"rgba_{name}.png")
-            relit.append(RelitView(name, one.camera, image, existing(lights / f"{name}.hdr"), _Z_UP))
+            relit.append(RelitView(name, one.camera, image, existing(lights / f"{name}.hdr"), Z_UP))
     return PublishedSet(tuple(views), tuple(relit))
 
 
@@ -152,7 +152,7 @@ def open_synthetic4relight(folder: Path, lights: Path | None) -> PublishedSet:
         for name in SYNTHETIC4RELIGHT_LIGHTS if lights is not None else ():
             assert lights is not None
             target = existing(folder / "test_rli" / f"{name}_{stem}.png")
-            relit.append(RelitView(name, camera, target, existing(lights / f"{name}.exr"), _Z_UP))
+            relit.append(RelitView(name, camera, target, existing(lights / f"{name}.exr"), Z_UP))
     return PublishedSet(tuple(views), tuple(relit))
 
 
