@@ -39,7 +39,7 @@ def main() -> None:
     options = given.parse_args()
     quiet_warp()
     OUT.mkdir(exist_ok=True)
-    true = room(options.meshes, options.count)
+    true = room(options)
     compare("true", true, options)
     captured = ls.merge([baked(true, options), *light_splats(options.set)])
     compare("captured", captured, options)
@@ -49,13 +49,14 @@ def main() -> None:
     compare("delighted", found.gaussians, options)
 
 
-def room(meshes: list[Path], count: int) -> ls.Gaussians:
+def room(options: Any) -> ls.Gaussians:
     """Returns Gaussians on all surfaces of the room, with its true albedo."""
-    from make_relightable_room import room_of, surfaces  # pyright: ignore[reportMissingImports]
+    from make_relightable_room import room_numbered, surfaces  # pyright: ignore[reportMissingImports]
 
-    placed = surfaces(room_of(meshes))
+    number = json.loads((options.set / "set.json").read_text())["room"]
+    placed = surfaces(room_numbered(number), options.meshes)
     shares = np.array([area(mesh) * (FIGURE_DENSITY if is_figure else 1.0) for mesh, is_figure in placed])
-    counts = np.maximum(count * shares / shares.sum(), 50).astype(int)
+    counts = np.maximum(options.count * shares / shares.sum(), 50).astype(int)
     return ls.merge(
         [
             ls.gaussians_from_mesh(mesh, int(n), seed)

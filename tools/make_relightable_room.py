@@ -9,11 +9,13 @@ inside, and lights replace environments::
     truth/mask/r_000.png                       masks of held-out views: black where a light of any setting is visible
     relit/NAME.toml, relit/NAME/r_000.png      new lights, and the held-out views under them
 
-The room is 4 x 2.6 x 3.2 m, its walls are painted by a formula, and one or two meshes with y up stand in it, 1.3 m
+The room is 4 x 2.6 x 3.2 m; its walls are painted by a formula, and one or two meshes with y up stand in it, 1.3 m
 high. Two lights light the training images, in which they are brighter than white: rectangles on grey plates, on the
 ceiling and on a wall. Under other lights the plates remain without emission. These are a wide cool light on another
 wall (``window``) and a small warm sphere (``evening``). Light bounces up to 15 times. ``--views 20 --held-out 4`` takes
 some minutes on two cores, most of it for the training images.
+
+``--room N`` draws another room from the number N: its size, colours and lamps, and it has a table and a cupboard.
 
 With ``--yard`` there is no ceiling, and a sun and an even sky light the training images in place of the lamps: only
 images, cameras and ``lamps.toml`` are written, for ``python -m bench.lights_found --trained``.
@@ -25,7 +27,8 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,14 +45,12 @@ from make_training_set import GOLDEN, bounds, placed, split, write_transforms  #
 
 import lumisplat as ls  # noqa: E402
 
-HALF, HEIGHT = (2.0, 1.6), 2.6
-"""Half extent of the floor along x and z, and height of the room, metres."""
 WALL_CELLS = 48
 """Squares along each side of a wall; vertices carry the colours."""
 FIGURE_HEIGHT, POSITIONS = 1.3, ((-0.75, 0.0, 0.25), (0.85, 0.0, -0.35))
-PLATE_GREY = 0.5
-GAP = 0.002
-"""Distance between a plate and its light, metres."""
+PLATE_GREY, BOX_CONTRAST = 0.5, 0.2
+GAP, OFF_WALL = 0.002, 0.04
+"""Distances of a light from its plate, and from its wall, metres."""
 FOV_Y = 0.95
 """Vertical field of view, radians."""
 MAX_DEPTH = 16
@@ -62,6 +63,64 @@ SUN = (0.48, -0.72, 0.5)
 """Direction in which the sun of a yard shines, of any length."""
 
 Lights = tuple[ls.LightRect | ls.LightSphere | ls.LightDirectional | ls.LightEnvironment, ...]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Room:
+    """A closed room, y up, with the middle of its floor at the origin; lengths are metres."""
+
+    half: tuple[float, float] = (2.0, 1.6)
+    """Half extent of the floor along x and z."""
+    height: float = 2.6
+    colors: tuple[tuple[Vector, float], ...] = (
+        ((0.45, 0.33, 0.24), 0.5),
+        ((0.75, 0.74, 0.7), 0.0),
+        ((0.6, 0.22, 0.17), 0.2),
+        ((0.2, 0.42, 0.22), 0.2),
+        ((0.5, 0.5, 0.55), 0.35),
+        ((0.62, 0.55, 0.35), 0.35),
+    )
+    """Albedo, and contrast of its bands, of floor, ceiling, and the walls at -x, +x, -z and +z."""
+    lamps: tuple[ls.LightRect, ...] = (
+        ls.LightRect((0.3, 2.56, 0.1), (0.9, 0.0, 0.0), (0.0, 0.0, 0.6), (1.0, 0.93, 0.82), 10.0),
+        ls.LightRect((-1.96, 1.5, -0.6), (0.0, 0.6, 0.0), (0.0, 0.0, 0.4), (0.6, 0.8, 1.0), 8.0),
+    )
+    """Lights of the training images."""
+    boxes: tuple[tuple[Vector, Vector, Vector], ...] = ()
+    """Lowest corner, size and albedo of the parts of the furniture."""
+
+    @classmethod
+    def drawn(cls, number: int) -> Room:
+        """Returns a room drawn from a number, with a table and a shallow cupboard."""
+        rng = np.random.default_rng(number)
+        x, z, height = rng.uniform((1.7, 1.5, 2.3), (2.6, 2.2, 3.0)).tolist()
+        saturation, lightness = rng.uniform(0.2, 0.9, (8, 1)), rng.uniform(0.3, 0.85, (8, 1))
+        albedo = [tuple(color) for color in (lightness * (1.0 - saturation * rng.uniform(size=(8, 3)))).tolist()]
+        (wide, deep), (tall, long) = rng.uniform(0.4, 1.0, (2, 2)).tolist()
+        above, beside, shift = rng.uniform(-0.5, 0.5, 3).tolist()
+        tints, powers = rng.uniform(0.6, 1.0, (2, 3)).tolist(), rng.uniform(5.0, 12.0, 2).tolist()
+        overhead = (above * x, height - OFF_WALL, above * z)
+        lamps = (
+            ls.LightRect(overhead, (wide, 0.0, 0.0), (0.0, 0.0, deep), tuple(tints[0]), powers[0]),
+            ls.LightRect(
+                (OFF_WALL - x, 1.4, beside * z), (0.0, tall, 0.0), (0.0, 0.0, long), tuple(tints[1]), powers[1]
+            ),
+        )
+        left, front = 0.4 * shift, 0.55 * z
+        feet = [(left + side, 0.0, front + end) for side in (-0.4, 0.34) for end in (-0.25, 0.19)]
+        table = [((left - 0.4, 0.7, front - 0.25), (0.8, 0.05, 0.5), albedo[6])]
+        table += [(foot, (0.06, 0.7, 0.06), albedo[6]) for foot in feet]
+        cupboard = ((shift * x, 0.0, -z), (0.8, 1.5, 0.1 * z), albedo[7])
+        contrasts = rng.uniform(0.1, 0.5, 6).tolist()
+        return cls((x, z), height, tuple(zip(albedo[:6], contrasts, strict=True)), lamps, (*table, cupboard))
+
+    def relit(self) -> dict[str, Lights]:
+        """Returns the new lights: a wide cool one on the wall at +z, and a small warm sphere, low in a corner."""
+        x, z = self.half
+        window = ls.LightRect((0.2, 1.5, z - 0.02), (0.0, 1.0, 0.0), (1.4, 0.0, 0.0), (0.8, 0.92, 1.0), 6.0)
+        ball = ls.LightSphere((x - 0.5, 0.9, z - 0.5), color=(1.0, 0.7, 0.4), intensity=40.0, radius=0.12)
+        return {"relit/window": (window,), "relit/evening": (ball,)}
 
 
 def main() -> None:
@@ -70,6 +129,7 @@ def main() -> None:
     parser.add_argument("meshes", type=Path, nargs="+", help="one or two meshes, GLB or OBJ")
     parser.add_argument("out", type=Path, help="output folder")
     parser.add_argument("--material", choices=("lambertian", "varied"), default="lambertian")
+    parser.add_argument("--room", type=int, metavar="N", help="draw another room from this number, 0 or more")
     parser.add_argument("--yard", action="store_true", help="a sun and a sky above four walls, without truth")
     parser.add_argument("--views", type=int, default=72, help="number of training views")
     parser.add_argument("--held-out", type=int, default=16, help="number of held-out views between them")
@@ -87,22 +147,27 @@ def main() -> None:
 def make(given: argparse.Namespace) -> None:
     """Makes the requested set."""
     mi, begun = load_mitsuba(), time.perf_counter()
-    scene = room_of(given.meshes)
-    views = split(inside(given.views + given.held_out, given.width, given.height), given.held_out)
+    room = room_numbered(given.room)
+    scene = scene_in(room, given.meshes)
+    views = split(inside(room, given.views + given.held_out, given.width, given.height), given.held_out)
     fov_x = 2.0 * np.arctan(np.tan(0.5 * FOV_Y) * given.width / given.height)
     if given.yard:
-        make_yard(mi, scene, views, given)
+        make_yard(mi, room, scene, views, given)
         write_transforms(given.out, views, float(fov_x))
         return
     held_out = {name: camera for name, camera in views.items() if name.startswith("test")}
     shapes = shapes_of(mi, scene, given.material)
-    settings = {"lamps": capture_lights(), "relit/window": (window(),), "relit/evening": (ball(),)}
+    settings = {"lamps": room.lamps, **room.relit()}
     all_lights = tuple(light for lights in settings.values() for light in lights)
-    record: dict[str, Any] = {"room": [mesh.name for mesh in given.meshes], "material": given.material}
+    record: dict[str, Any] = {
+        "room": given.room,
+        "meshes": [mesh.name for mesh in given.meshes],
+        "material": given.material,
+    }
     record |= {"specular": float(given.material != "lambertian"), "size": [given.width, given.height]}
     record |= {"samples": given.samples, "exposure": 1.0, "lamp_factors": {}}
     for name, lights in settings.items():
-        factor = exposure(mi, shapes, lights, all_lights)
+        factor = exposure(mi, room, shapes, lights, all_lights)
         record["lamp_factors"][name.removeprefix("relit/")] = factor
         bright = tuple(replace(light, intensity=factor * light.intensity) for light in lights)
         save_lights(given.out / f"{name}.toml", bright)
@@ -117,14 +182,14 @@ def make(given: argparse.Namespace) -> None:
     print(f"{given.out}: {given.views} views, {given.held_out} held out, {time.perf_counter() - begun:.0f} s")
 
 
-def make_yard(mi: Any, room: ls.Scene, views: dict[str, ls.Camera], given: argparse.Namespace) -> None:
+def make_yard(mi: Any, room: Room, closed: ls.Scene, views: dict[str, ls.Camera], given: argparse.Namespace) -> None:
     """Renders the training and held-out images of the room without ceiling and plates, under a sun and a sky."""
-    count = len(walls())
-    plates = range(count, count + len(capture_lights()))
-    scene = replace(room, meshes=[one for i, one in enumerate(room.meshes) if i != CEILING and i not in plates])
+    count = len(walls(room))
+    plates = range(count, count + len(room.lamps))
+    scene = replace(closed, meshes=[one for i, one in enumerate(closed.meshes) if i != CEILING and i not in plates])
     shapes = shapes_of(mi, scene, given.material)
     lights = (ls.LightDirectional(SUN, (1.0, 0.94, 0.85), 4.0), ls.LightEnvironment(color=(0.5, 0.65, 1.0)))
-    factor = exposure(mi, shapes, lights, lights[1:])
+    factor = exposure(mi, room, shapes, lights, lights[1:])
     sun, sky = (replace(light, intensity=factor * light.intensity) for light in lights)
     given.out.mkdir(parents=True, exist_ok=True)
     (given.out / "lamps.toml").write_text(
@@ -134,9 +199,15 @@ def make_yard(mi: Any, room: ls.Scene, views: dict[str, ls.Camera], given: argpa
     render_images(mi, lit(mi, shapes, (sun, sky)), views, given)
 
 
-def room_of(paths: list[Path]) -> ls.Scene:
-    """Returns the room with its plates and figures, y up, with the middle of its floor at the origin."""
-    meshes = [*walls(), *(plate(light) for light in capture_lights())]
+def room_numbered(number: int | None) -> Room:
+    """Returns the room of a number, or the room without one."""
+    return Room() if number is None else Room.drawn(number)
+
+
+def scene_in(room: Room, paths: list[Path]) -> ls.Scene:
+    """Returns a room's surfaces, with the plates of its lamps and figures of meshes."""
+    meshes = [*walls(room), *(plate(light) for light in room.lamps)]
+    meshes += [side for box in room.boxes for side in sides(*box)]
     for path, position in zip(paths, POSITIONS, strict=False):
         figure = scene_of(path)
         low, high = bounds(figure)
@@ -149,10 +220,10 @@ def room_of(paths: list[Path]) -> ls.Scene:
     return ls.Scene(meshes=meshes)
 
 
-def surfaces(scene: ls.Scene) -> list[tuple[ls.Mesh, bool]]:
+def surfaces(room: Room, paths: list[Path]) -> list[tuple[ls.Mesh, bool]]:
     """Returns the meshes of a room in world space with only their colours, and whether each belongs to a figure."""
-    count, made = len(walls()) + len(capture_lights()), []
-    for number, one in enumerate(scene.meshes):
+    count, made = len(scene_in(room, []).meshes), []
+    for number, one in enumerate(scene_in(room, paths).meshes):
         positions, normals = placed(one)
         texture = one.mesh.material.base_color_texture  # pyright: ignore[reportAttributeAccessIssue]
         material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture, specular=0.0)
@@ -161,21 +232,30 @@ def surfaces(scene: ls.Scene) -> list[tuple[ls.Mesh, bool]]:
     return made
 
 
-def walls() -> list[ls.MeshInstance]:
+def walls(room: Room) -> list[ls.MeshInstance]:
     """Returns floor, ceiling and four walls that face inwards, each in another colour."""
-    x, z = HALF
-    wide, deep, high = (2.0 * x, 0.0, 0.0), (0.0, 0.0, 2.0 * z), (0.0, HEIGHT, 0.0)
+    (x, z), high = room.half, (0.0, room.height, 0.0)
+    wide, deep = (2.0 * x, 0.0, 0.0), (0.0, 0.0, 2.0 * z)
+    places = [((-x, 0.0, -z), deep, wide), ((-x, room.height, -z), wide, deep), ((-x, 0.0, -z), high, deep)]
+    places += [((x, 0.0, -z), deep, high), ((-x, 0.0, -z), wide, high), ((-x, 0.0, z), high, wide)]
+    return [wall(*place, *color) for place, color in zip(places, room.colors, strict=True)]
+
+
+def sides(low: Vector, size: Vector, albedo: Vector) -> list[ls.MeshInstance]:
+    """Returns the six sides of a box, which face outwards."""
+    x, y, z = np.diag(size).tolist()
+    top = (np.array(low) + size).tolist()
+    pairs = [(y, x), (z, y), (x, z)]
     return [
-        wall((-x, 0.0, -z), deep, wide, (0.45, 0.33, 0.24), 0.5),
-        wall((-x, HEIGHT, -z), wide, deep, (0.75, 0.74, 0.7), 0.0),
-        wall((-x, 0.0, -z), high, deep, (0.6, 0.22, 0.17), 0.2),
-        wall((x, 0.0, -z), deep, high, (0.2, 0.42, 0.22), 0.2),
-        wall((-x, 0.0, -z), wide, high, (0.5, 0.5, 0.55), 0.35),
-        wall((-x, 0.0, z), high, wide, (0.62, 0.55, 0.35), 0.35),
+        wall(corner, *edges, albedo, BOX_CONTRAST)
+        for u, v in pairs
+        for corner, edges in ((low, (u, v)), (top, (np.negative(v).tolist(), np.negative(u).tolist())))
     ]
 
 
-def wall(corner: tuple, u: tuple, v: tuple, color: tuple, contrast: float) -> ls.MeshInstance:
+def wall(
+    corner: Sequence[float], u: Sequence[float], v: Sequence[float], color: Vector, contrast: float
+) -> ls.MeshInstance:
     """Returns a rectangle that faces ``cross(u, v)``, painted in soft bands of the given contrast, 0..1."""
     steps = np.linspace(0.0, 1.0, WALL_CELLS + 1)
     a, b = (values.ravel() for values in np.meshgrid(steps, steps, indexing="ij"))
@@ -194,35 +274,18 @@ def plate(light: ls.LightRect) -> ls.MeshInstance:
     u, v = np.array(light.edge_u), np.array(light.edge_v)
     facing = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
     corner = np.array(light.position) - GAP * facing - 0.5 * (u + v)
-    return wall(tuple(corner), tuple(u), tuple(v), (PLATE_GREY,) * 3, 0.0)
+    return wall(tuple(corner), tuple(u), tuple(v), (PLATE_GREY, PLATE_GREY, PLATE_GREY), 0.0)
 
 
-def capture_lights() -> tuple[ls.LightRect, ...]:
-    """Returns the lights of the training images."""
-    return (
-        ls.LightRect((0.3, HEIGHT - 0.04, 0.1), (0.9, 0.0, 0.0), (0.0, 0.0, 0.6), (1.0, 0.93, 0.82), 10.0),
-        ls.LightRect((-HALF[0] + 0.04, 1.5, -0.6), (0.0, 0.6, 0.0), (0.0, 0.0, 0.4), (0.6, 0.8, 1.0), 8.0),
-    )
-
-
-def window() -> ls.LightRect:
-    """Returns a wide cool light on a wall without a training light."""
-    return ls.LightRect((0.2, 1.5, HALF[1] - 0.02), (0.0, 1.0, 0.0), (1.4, 0.0, 0.0), (0.8, 0.92, 1.0), 6.0)
-
-
-def ball() -> ls.LightSphere:
-    """Returns a small warm sphere light, low in a corner."""
-    return ls.LightSphere((1.5, 0.9, 1.1), color=(1.0, 0.7, 0.4), intensity=40.0, radius=0.12)
-
-
-def inside(count: int, width: int, height: int) -> list[ls.Camera]:
+def inside(room: Room, count: int, width: int, height: int) -> list[ls.Camera]:
     """Returns cameras near the walls that look across the room, at all heights, alternately up and down."""
     cameras: list[ls.Camera] = []
+    x, z = room.half
     for i in range(count):
         turn, rise = GOLDEN * i, (i + 0.5) / count
-        eye = (0.85 * HALF[0] * np.cos(turn), 0.5 + 1.5 * rise, 0.82 * HALF[1] * np.sin(turn))
+        eye = (0.85 * x * np.cos(turn), 0.5 + 1.5 * rise, 0.82 * z * np.sin(turn))
         aside = turn + np.pi + (0.5, -0.5)[i % 2]
-        at = (0.6 * HALF[0] * np.cos(aside), (0.3, 1.1, 1.9)[i % 3], 0.6 * HALF[1] * np.sin(aside))
+        at = (0.6 * x * np.cos(aside), (0.3, 1.1, 1.9)[i % 3], 0.6 * z * np.sin(aside))
         cameras.append(ls.Camera.look_at(eye, at, (0.0, 1.0, 0.0), width=width, height=height, fov_y=FOV_Y))
     return cameras
 
@@ -241,10 +304,10 @@ def light_mask(mi: Any, shapes: list[Any], lights: Lights, camera: ls.Camera) ->
     return mi.render(lit(mi, shapes, glowing, depth=1), sensor=sensor).numpy()[..., 0] > 0.0
 
 
-def exposure(mi: Any, shapes: list[Any], lights: Lights, all_lights: Lights) -> float:
+def exposure(mi: Any, room: Room, shapes: list[Any], lights: Lights, all_lights: Lights) -> float:
     """Returns the factor of the lights' radiance that exposes images well, ignoring visible lights."""
     world, values = lit(mi, shapes, lights), []
-    for i, camera in enumerate(inside(PILOTS, 64, 48)):
+    for i, camera in enumerate(inside(room, PILOTS, 64, 48)):
         sensor = mi.load_dict(sensor_of(mi, camera, PILOT_SAMPLES))
         image = mi.render(world, sensor=sensor, seed=mi.UInt32(i)).numpy()[..., :3]
         values.append(image[~light_mask(mi, shapes, all_lights, camera)].ravel())

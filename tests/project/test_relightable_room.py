@@ -57,13 +57,14 @@ def made(tmp_path_factory: pytest.TempPathFactory, ball: Path) -> Path:
 
 def test_walls_of_the_relightable_room_face_inwards_and_balls_stand_on_the_floor(tool: ModuleType, ball: Path) -> None:
     """Six walls and two plates face the middle; two balls of 1.3 m stand on the floor."""
-    scene = tool.room_of([ball, ball])
+    room = tool.Room()
+    scene = tool.scene_in(room, [ball, ball])
     for instance in scene.meshes[:8]:
         mesh = instance.mesh
         corners = mesh.positions[mesh.indices].astype(np.float64)
         facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert (np.sum(facing * mesh.normals[mesh.indices[:, 0]], axis=1) > 0.0).all()
-        inwards = np.array([0.0, 0.5 * tool.HEIGHT, 0.0]) - corners.mean(axis=1)
+        inwards = np.array([0.0, 0.5 * room.height, 0.0]) - corners.mean(axis=1)
         assert (np.sum(facing * inwards, axis=1) > 0.0).all()
     for instance in scene.meshes[8:]:
         low, high = tool.bounds(ls.Scene(meshes=[instance]))
@@ -71,16 +72,35 @@ def test_walls_of_the_relightable_room_face_inwards_and_balls_stand_on_the_floor
     assert len(scene.meshes) == 10
 
 
+def test_furniture_of_a_drawn_room_faces_outwards_and_stands_in_it(tool: ModuleType) -> None:
+    """Sides of each box face away from its middle; a table of five parts and a cupboard stand within the walls."""
+    for number in range(20):
+        room = tool.Room.drawn(number)
+        assert len(room.boxes) == 6
+        for low, size, albedo in room.boxes:
+            middle = np.add(low, np.multiply(size, 0.5))
+            for side in tool.sides(low, size, albedo):
+                outwards = side.mesh.positions - middle
+                assert (np.sum(side.mesh.normals * outwards, axis=1) > 0.0).all()
+            high = np.add(low, size)
+            assert (np.minimum(low, 0.0)[[0, 2]] >= np.negative(room.half) - 1e-9).all()
+            assert (high[[0, 2]] <= room.half).all() and high[1] < room.height
+
+
 def test_cameras_of_the_relightable_room_are_inside_it(tool: ModuleType) -> None:
-    """No camera is inside a wall."""
-    for camera in tool.inside(88, 40, 30):
-        x, y, z = np.abs(camera.eye)
-        assert x < tool.HALF[0] and z < tool.HALF[1] and 0.3 < y < tool.HEIGHT - 0.3
+    """No camera is inside a wall or furniture, also in drawn rooms."""
+    for room in (tool.Room(), *map(tool.Room.drawn, range(20))):
+        for camera in tool.inside(room, 88, 40, 30):
+            x, y, z = np.abs(camera.eye)
+            assert x < room.half[0] and z < room.half[1] and 0.3 < y < room.height - 0.2
+            for low, size, _ in room.boxes:
+                assert not ((camera.eye > np.array(low)) & (camera.eye < np.add(low, size))).all()
 
 
 def test_lights_of_the_relightable_room_survive_saving_and_loading(tool: ModuleType, tmp_path: Path) -> None:
     """Both kinds of light are read back."""
-    lights = (*tool.capture_lights(), tool.ball())
+    room = tool.Room()
+    lights = (*room.lamps, *room.relit()["relit/evening"])
     tool.save_lights(tmp_path / "lamps.toml", lights)
     scene: Any = ls.load(tmp_path / "lamps.toml")
     for stored, light in zip(scene.lights, lights, strict=True):
@@ -92,7 +112,7 @@ def test_mitsubas_images_of_the_relightable_room_match_lumisplats_path_tracer(
     tool: ModuleType, made: Path, ball: Path
 ) -> None:
     """More than 34 dB in views without a visible light, less than 30 dB with 0.7 of the light; albedo matches, too."""
-    room = tool.room_of([ball, ball])
+    room = tool.scene_in(tool.Room(), [ball, ball])
     matt: list[ls.MeshInstance] = []
     for one in room.meshes:
         material: Any = replace(one.mesh.material, specular=0.0, metallic=0.0, base_color=(1.0, 1.0, 1.0))
