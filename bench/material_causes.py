@@ -30,8 +30,9 @@ from lumisplat.metrics.materials import normal_errors
 from lumisplat.relighting.evaluation import LayerRenderer
 from lumisplat.relighting.irradiance import mean_outgoing
 from lumisplat.relighting.published_sets import Z_UP, TestView, open_tensoir, unit_texels
+from lumisplat.relighting.seen_normals import rendered_normals
 from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
-from lumisplat.training.lit_gaussians import Materials, rendered_normals, traced_incident
+from lumisplat.training.lit_gaussians import Materials, traced_incident
 from lumisplat.training.material_fit import MaterialFit, fit_environment, white_radiance
 from lumisplat.training.views import TrainingView
 

@@ -288,18 +288,34 @@ def with_typical_albedos(light: Light, outgoing: Doubles, incident: Irradiance) 
     return Light(factor * light.environment, factor * light.emitters)
 
 
-def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> tuple[Rows, Doubles]:
+def with_white_balance(light: Light, incident: Irradiance) -> Light:
+    """Scales each channel of a light so that the median irradiance is grey, as a camera's white balance makes it."""
+    irradiance = incident.total(light.environment, light.emitters)
+    logs = np.log(np.maximum(irradiance, RADIANCE_LEAST))
+    factors = np.exp(-np.median(logs - logs.mean(axis=1, keepdims=True), axis=0))
+    return Light(factors * light.environment, factors * light.emitters)
+
+
+def albedo_pairs(
+    near: Pairs, reflects: Rows, count: int, rng: np.random.Generator, *, opaque: bool
+) -> tuple[Rows, Doubles]:
     """Chooses P pairs of Gaussians whose albedos are compared: neighbours, then random ones.
+
+    Colours of translucent Gaussians are parts of a blend, so they differ among neighbours by more than the light does:
+    their pairs are all random, and their chromaticities may differ as much as neighbours' may.
 
     Args:
         near: Pairs of neighbours, in both orders.
         reflects: Indices of the Gaussians that may be compared.
-        count: Largest number of pairs of neighbours.
+        count: Largest number of pairs of neighbours; of random ones, if the Gaussians are translucent.
         rng: Random generator.
+        opaque: Whether the Gaussians are opaque.
 
     Returns:
         Indices of the pairs, shape (P, 2), and their `AlbedoPairFit.chroma_widths`, shape (P,).
     """
+    if not opaque:
+        return rng.choice(reflects, (count, 2)), np.full(count, NEAR_CHROMA_WIDTH)
     beside = np.stack([near.first, near.second], axis=1)[near.first < near.second]
     beside = rng.permutation(beside[np.isin(beside, reflects).all(axis=1)])[:count]
     far = rng.choice(reflects, (max(int(RANDOM_PAIR_SHARE * len(beside)), RANDOM_PAIRS_MIN), 2))

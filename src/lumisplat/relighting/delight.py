@@ -30,12 +30,15 @@ from lumisplat.relighting.albedo_fit import (
     albedo_pairs,
     initial_light,
     with_typical_albedos,
+    with_white_balance,
 )
 from lumisplat.relighting.capture_measures import measure_surface, no_surface_message
 from lumisplat.relighting.incident import SIDE_DIRECTIONS, IncidentRays, Smoother, neighbours_of
 from lumisplat.relighting.irradiance import Irradiance, median_outgoing
 from lumisplat.relighting.material_errors import AlbedoErrors, roughness_error
 from lumisplat.relighting.roughness_fit import ROUGHNESS_UNKNOWN, Lobes, RoughnessFit, arriving_light
+from lumisplat.relighting.seen_normals import VIEWS, normals_from_around
+from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
@@ -210,16 +213,18 @@ def estimate_materials(
     given = gaussians.normals
     axes = _agreeing_axes(gaussians) if given is None else given.astype(np.float64)
     rays = IncidentRays(gaussians, axes, renderer, config.seed, traced=pace.add)
+    views = DifferentiableRenderer(RenderConfig(pipeline=Pipeline.RASTER, lighting=False), device, threads=threads)
     # More BLAS threads change the last bits. They save a fifth of the time on two idle cores, but on busy ones they
     # wait for each other and take up to nine times as long.
     with threadpool_limits(1, user_api="blas"):
-        found = _Delighter(gaussians, config, rays, pace).run()
+        found = _Delighter(gaussians, config, rays, views, pace).run()
     report(_LABEL, 1.0)
     return replace(found, gaussians=replace(found.gaussians, origin=origin))
 
 
 _LABEL = "delighting"
-_SIDES, _RAYS, _LIGHT, _HIGHLIGHTS = "finding sides", "tracing the light", "finding the light", "finding highlights"
+_SIDES, _NORMALS, _RAYS = "finding sides", "finding normals", "tracing the light"
+_LIGHT, _HIGHLIGHTS = "finding the light", "finding highlights"
 _BRIGHT = tuple(
     (f"tracing bright cells ({number} of {BRIGHT_REFINEMENTS})", f"{_LIGHT} ({number} of {BRIGHT_REFINEMENTS})")
     for number in range(1, BRIGHT_REFINEMENTS + 1)
@@ -227,6 +232,8 @@ _BRIGHT = tuple(
 _FIT_S, _HIGHLIGHT_S = 10.0, 1e-3
 """Expected seconds of one fit of the light's radiances (`_FIT_S`), and of fitting the highlights of one Gaussian
 (`_HIGHLIGHT_S`), for the progress bar; measured with 20,000 Gaussians."""
+_VIEWS_COST = 0.2
+"""Assumed cost of all views that show normals, relative to that of `_SIDES`."""
 _RAYS_PER_S = 5e5
 """Assumed rays per second, for the progress bar, before the first rays are timed; captures with many layers are 20
 times slower.
@@ -242,7 +249,8 @@ def _costs(
     highlights are fitted, too.
     """
     fit, part = _FIT_S * rays_per_s, count / turns
-    costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: config.cells**2 * part, _LIGHT: fit}
+    sides = 1.0 * SIDE_DIRECTIONS * count
+    costs = {_SIDES: sides, _NORMALS: _VIEWS_COST * sides, _RAYS: config.cells**2 * part, _LIGHT: fit}
     for bright, light in () if inside else _BRIGHT:
         costs |= {bright: BRIGHT_CELLS * BRIGHT_PARTS**2 * part, light: 2.0 * fit}
     return costs | ({_HIGHLIGHTS: _HIGHLIGHT_S * rays_per_s * count} if shines else {})
@@ -255,6 +263,7 @@ class _Delighter:
     gaussians: Gaussians
     config: DelightConfig
     rays: IncidentRays
+    views: DifferentiableRenderer
     pace: StagedProgress
 
     def run(self) -> MaterialEstimate:
@@ -268,6 +277,9 @@ class _Delighter:
         rays_per_s = min(
             SIDE_DIRECTIONS * count / (time.perf_counter() - begun), _RAYS_PER_S
         )  # so no progress is undone
+        opaque = bool(np.median(self.gaussians.opacities) > OPAQUE)
+        if not opaque:
+            normals = self._seen(normals)
         white = is_white(self.gaussians, normals)
         outgoing = self._checked_outgoing(normals, white)
         # White parts of an object are surfaces, not emitters.
@@ -282,7 +294,8 @@ class _Delighter:
         incident = self.rays.incident(smoother, normals, emitters, cells, stores_directions=shines)
         if inside:  # rays that escape a room pass gaps between Gaussians
             cells, incident = cells.of(np.empty(0, int)), replace(incident, environment=incident.environment[:, :0])
-        pairs, widths = albedo_pairs(near, np.flatnonzero(~white), PAIRS, np.random.default_rng([self.config.seed, 5]))
+        rng = np.random.default_rng([self.config.seed, 5])
+        pairs, widths = albedo_pairs(near, np.flatnonzero(~white), PAIRS, rng, opaque=opaque)
         self.pace.begin(_LIGHT)
         light = AlbedoPairFit(outgoing, incident, pairs, widths, cells).solved(initial_light(outgoing, incident))
         for tracing, finding in () if inside else _BRIGHT:
@@ -291,7 +304,8 @@ class _Delighter:
             self.pace.begin(finding)
             light = AlbedoPairFit(outgoing, incident, pairs, widths, cells).solved(light)
         if not inside:
-            light = with_typical_albedos(light, outgoing, incident)
+            # Photographs are white balanced, baked colours are not.
+            light = with_typical_albedos(light if opaque else with_white_balance(light, incident), outgoing, incident)
         lobes = Lobes.of(self.gaussians.sh_degree)
         rough = read_only_view(np.full(count, ROUGHNESS_UNKNOWN, np.float32))
         if shines:
@@ -304,7 +318,7 @@ class _Delighter:
         matt, mirrored = self._parts(rough, lobes)
         albedo = filled(np.maximum(reflectance - mirrored, MATT_LEAST * reflectance) / matt, irradiance, near)
         errors = TRAINED_ERRORS
-        if np.median(self.gaussians.opacities) > OPAQUE:
+        if opaque:
             errors = ROOM_ERRORS if inside else OPEN_ERRORS
         error = errors.of(albedo_in_range(albedo), irradiance.mean(axis=1), normals, near)
         explained = (albedo_in_range(albedo) * matt + np.minimum(mirrored, reflectance)) * irradiance
@@ -321,6 +335,21 @@ class _Delighter:
             out_of_range=(albedo > 1.0).any(axis=1) & (emitters < 0),
             is_white=white & (emitters < 0),
             is_too_dark=np.asarray((reflectance < mirrored).any(axis=1)),
+        )
+
+    def _seen(self, normals: Doubles) -> Doubles:
+        """Returns the capture's own normals; without any, those that views of N Gaussians show, shape (N, 3)."""
+        if self.gaussians.normals is not None:
+            return normals
+        self.pace.begin(_NORMALS)
+        rng, cost = np.random.default_rng([self.config.seed, 6]), _VIEWS_COST * SIDE_DIRECTIONS * self.gaussians.count
+        return normals_from_around(
+            self.gaussians,
+            normals,
+            self.views,
+            self.rays.clear_distance,
+            rng=rng,
+            shown=lambda: self.pace.add(cost / VIEWS),
         )
 
     def _checked_outgoing(self, normals: Doubles, white: Flags) -> Doubles:

@@ -5,6 +5,7 @@ Most of that light is visible in the capture itself; the rest comes from the env
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -384,6 +385,14 @@ class IncidentRays:
             environment[cell] = smoother.arriving(shares, reach, places, traced, passed[:, None])[:, 0]
             self._traced(len(normals) // self.turns)
         return np.ascontiguousarray(environment.T)
+
+    def clear_distance(self, row: int, direction: Doubles) -> float:
+        """Returns the distance, scene units, from Gaussian number ``row`` to the next surface in a unit direction (3,).
+
+        It is infinite if half of a ray escapes.
+        """
+        hits = self._trace(np.array([row]), direction[None])
+        return float(hits.depth[0]) if hits.transmittance[0] < 0.5 else math.inf
 
     def _reaches(self, smoother: Smoother) -> list[Any]:
         """Returns `Smoother.reaching` for the Gaussians of each turn."""

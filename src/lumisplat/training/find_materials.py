@@ -34,6 +34,7 @@ from lumisplat.progress import Progress, no_progress
 from lumisplat.relighting.incident import neighbours_of
 from lumisplat.relighting.irradiance import constant_radiance, mean_outgoing
 from lumisplat.relighting.material_errors import AlbedoErrors, roughness_error
+from lumisplat.relighting.seen_normals import rendered_normals
 from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.runtime.interrupts import deferred_interrupt
@@ -43,7 +44,7 @@ from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.local_frame import LocalFrame
 from lumisplat.scene.scene import Scene
 from lumisplat.training.color_fit import CapturedColors, chosen_views, fit_colors
-from lumisplat.training.lit_gaussians import IncidentRadiance, Materials, rendered_normals, traced_incident
+from lumisplat.training.lit_gaussians import IncidentRadiance, Materials, traced_incident
 from lumisplat.training.material_fit import (
     MaterialFit,
     environment_image,

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-from lumisplat.constants import ENVIRONMENT_CHUNK, SPREAD_SHARE, SURFACE_ALPHA
+from lumisplat.constants import ENVIRONMENT_CHUNK, SPREAD_SHARE
 from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.progress import Progress
 from lumisplat.relighting.irradiance import Irradiance, hit_radiance
-from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.neighbours import morton_order
-from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import Scene
 from lumisplat.training import material_gradient_kernels, material_kernels
 
@@ -221,74 +217,3 @@ def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
     scales = np.sort(gaussians.scales.astype(np.float64), axis=1)
     lift = np.maximum(LIFT_SHORTEST * scales[:, 0], LIFT_ALONG * scales[:, 1])
     return gaussians.means + lift[:, None] * normals
-
-
-def rendered_normals(
-    gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    renderer: DifferentiableRenderer,
-    report: Progress,
-    *,
-    kept: Sequence[int] = (),
-) -> tuple[Doubles, Doubles, FloatArray]:
-    """Estimates the unit normal of each of N Gaussians towards the cameras, and its blending weights.
-
-    Each view gives a normal map of the surface at mean depth. The normal of a Gaussian is the mean of these maps over
-    all pixels of all views, weighted by the Gaussian's blending weights. A Gaussian visible in no pixel with a normal
-    gets its shortest axis.
-
-    Args:
-        gaussians: The capture.
-        cameras: Pinhole cameras.
-        renderer: Renderer of raster frames.
-        report: Called with a description of the current work and the fraction done, 0..1.
-        kept: Indices of K cameras whose blending weights are returned one by one.
-
-    Returns:
-        Normals in world space, shape (N, 3); blending weights summed over all pixels of all cameras, shape (N,), and of
-        the kept cameras, shape (K, N).
-    """
-    sums, towards = np.zeros((gaussians.count, 3)), np.zeros((gaussians.count, 3))
-    weights, kept_weights = np.zeros(gaussians.count), np.zeros((len(kept), gaussians.count), np.float32)
-    for number, camera in enumerate(cameras):
-        report("finding normals", number / len(cameras))
-        frame = renderer.render(Scene([gaussians]), camera)
-        to_camera = camera.eye - gaussians.means.astype(np.float64)
-        depths = -(to_camera @ camera.camera_from_world[2, :3])
-        shown = renderer.render_features(np.column_stack([depths, np.zeros((len(depths), 2))]))
-        normals = surface_normals(camera, shown[..., 0], frame.alpha)
-        found = renderer.gradients(np.zeros_like(frame.color), dL_dfeatures=normals)
-        assert found.features is not None
-        sums += found.features
-        weights += found.weights
-        if number in kept:
-            kept_weights[kept.index(number)] = found.weights
-        towards += (found.weights / np.linalg.norm(to_camera, axis=1))[:, None] * to_camera
-    axes = shortest_axes(gaussians)
-    axes *= np.where((axes * towards).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
-    length = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.where(length > 1e-6, sums / np.maximum(length, 1e-6), axes), weights, kept_weights
-
-
-def surface_normals(camera: Camera, depth: FloatArray, alpha: FloatArray) -> FloatArray:
-    """Returns unit normals, towards the camera, of the surface at mean depth, shape (H, W, 3); zero without a surface.
-
-    Args:
-        camera: A pinhole camera.
-        depth: Alpha-blended view depths, not divided by alpha, shape (H, W).
-        alpha: Alpha of each pixel, shape (H, W).
-    """
-    has = alpha > SURFACE_ALPHA
-    z = np.where(has, depth / np.where(has, alpha, 1.0), 0.0).astype(np.float64)
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
-    points = z[..., None] * rays
-    across, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
-    is_defined = has[1:-1, 1:-1] & has[1:-1, 2:] & has[1:-1, :-2] & has[2:, 1:-1] & has[:-2, 1:-1]
-    area = -np.cross(across, down)
-    length = np.linalg.norm(area, axis=-1)
-    is_defined &= length > 0.0
-    normals = np.zeros((camera.height, camera.width, 3))
-    local = area / np.where(is_defined, length, 1.0)[..., None]
-    normals[1:-1, 1:-1] = np.where(is_defined[..., None], local @ camera.camera_from_world[:3, :3], 0.0)
-    return normals.astype(np.float32)
