@@ -139,6 +139,8 @@ def main() -> None:
     given = parser.parse_args()
     if not 1 <= given.held_out <= given.views:
         parser.error("--held-out must be at least 1, and at most --views")
+    if given.room is not None and given.room < 0:
+        parser.error(f"--room {given.room}, expected 0 or more")
     if len(given.meshes) > len(POSITIONS):
         parser.error(f"{len(given.meshes)} meshes given, expected one or two")
     make(given)

@@ -83,7 +83,7 @@ def test_furniture_of_a_drawn_room_faces_outwards_and_stands_in_it(tool: ModuleT
                 outwards = side.mesh.positions - middle
                 assert (np.sum(side.mesh.normals * outwards, axis=1) > 0.0).all()
             high = np.add(low, size)
-            assert (np.minimum(low, 0.0)[[0, 2]] >= np.negative(room.half) - 1e-9).all()
+            assert (np.array(low)[[0, 2]] >= np.negative(room.half) - 1e-9).all()
             assert (high[[0, 2]] <= room.half).all() and high[1] < room.height
 
 

@@ -213,11 +213,11 @@ def estimate_materials(
     given = gaussians.normals
     axes = _agreeing_axes(gaussians) if given is None else given.astype(np.float64)
     rays = IncidentRays(gaussians, axes, renderer, config.seed, traced=pace.add)
-    views = DifferentiableRenderer(RenderConfig(pipeline=Pipeline.RASTER, lighting=False), device, threads=threads)
+    raster = DifferentiableRenderer(RenderConfig(pipeline=Pipeline.RASTER, lighting=False), device, threads=threads)
     # More BLAS threads change the last bits. They save a fifth of the time on two idle cores, but on busy ones they
     # wait for each other and take up to nine times as long.
     with threadpool_limits(1, user_api="blas"):
-        found = _Delighter(gaussians, config, rays, views, pace).run()
+        found = _Delighter(gaussians, config, rays, raster, pace).run()
     report(_LABEL, 1.0)
     return replace(found, gaussians=replace(found.gaussians, origin=origin))
 
@@ -263,13 +263,14 @@ class _Delighter:
     gaussians: Gaussians
     config: DelightConfig
     rays: IncidentRays
-    views: DifferentiableRenderer
+    raster: DifferentiableRenderer
     pace: StagedProgress
 
     def run(self) -> MaterialEstimate:
         """Traces rays, fits light and roughness, and returns the materials and the light."""
         count, may_shine = self.gaussians.count, self.gaussians.sh_degree > 0 and not self.config.matt
-        self.pace.plan(_costs(count, self.rays.turns, self.config, inside=bool(self.config.inside), shines=may_shine))
+        costs = _costs(count, self.rays.turns, self.config, inside=bool(self.config.inside), shines=may_shine)
+        self.pace.plan(costs)
         self.pace.begin(_SIDES)
         near = neighbours_of(self.gaussians)
         begun = time.perf_counter()
@@ -278,8 +279,7 @@ class _Delighter:
             SIDE_DIRECTIONS * count / (time.perf_counter() - begun), _RAYS_PER_S
         )  # so no progress is undone
         opaque = bool(np.median(self.gaussians.opacities) > OPAQUE)
-        if not opaque:
-            normals = self._seen(normals)
+        normals = normals if opaque else self._seen(normals, costs[_NORMALS])
         white = is_white(self.gaussians, normals)
         outgoing = self._checked_outgoing(normals, white)
         # White parts of an object are surfaces, not emitters.
@@ -337,16 +337,19 @@ class _Delighter:
             is_too_dark=np.asarray((reflectance < mirrored).any(axis=1)),
         )
 
-    def _seen(self, normals: Doubles) -> Doubles:
-        """Returns the capture's own normals; without any, those that views of N Gaussians show, shape (N, 3)."""
+    def _seen(self, normals: Doubles, cost: float) -> Doubles:
+        """Returns the capture's own normals; without any, those that views of N Gaussians show, shape (N, 3).
+
+        ``cost``: expected cost of the views.
+        """
         if self.gaussians.normals is not None:
             return normals
         self.pace.begin(_NORMALS)
-        rng, cost = np.random.default_rng([self.config.seed, 6]), _VIEWS_COST * SIDE_DIRECTIONS * self.gaussians.count
+        rng = np.random.default_rng([self.config.seed, 6])
         return normals_from_around(
             self.gaussians,
             normals,
-            self.views,
+            self.raster,
             self.rays.clear_distance,
             rng=rng,
             shown=lambda: self.pace.add(cost / VIEWS),

@@ -22,8 +22,8 @@ VIEW_SIZE, VIEW_ANGLE = 192, 1.0
 """Width and height, pixels, and field of view, radians, of the chosen views."""
 
 VIEW_TILT = 0.5
-"""Standard deviation of each coordinate of the direction towards a chosen view's camera, beside a normal of length 1.
-"""
+"""Standard deviation, in each coordinate, of the random vector that is added to a Gaussian's normal: their sum is the
+direction from the Gaussian to the camera of a chosen view."""
 
 CLEAR_SHARE, EXTENT_SHARE = 0.7, 0.5
 """A chosen view's camera is at this share of the clear distance in front of the Gaussian at which it looks, and at most
@@ -63,7 +63,7 @@ class NormalSums:
         return found.weights
 
     def means(self, otherwise: Doubles, weight_min: float = 0.0) -> Doubles:
-        """Returns unit normals, (N, 3): ``otherwise`` for those of less than ``weight_min`` or unseen."""
+        """Returns unit normals, (N, 3); ``otherwise`` where weights are below ``weight_min`` or normals are unknown."""
         length = np.linalg.norm(self._sums, axis=1, keepdims=True)
         is_seen = (length > 1e-6) & (self.weights[:, None] >= weight_min)
         return np.where(is_seen, self._sums / np.maximum(length, 1e-6), otherwise)
